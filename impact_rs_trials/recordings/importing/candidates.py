@@ -62,12 +62,12 @@ class SignalCandidate:
         label: Its name in lists.
         source: Its keys in a mapping, without unit.
         pose: Whether it is a pose; else numbers of joints.
-        guess: The signal suggested by its name; empty: unknown.
+        guess: Signal suggested by the name; empty: unknown.
         width: Numbers per sample.
         joints: Names of its joints, base to tip if the names show it; empty: not named.
         stamped: Whether its samples have timestamps; messages of a bag without a header do not.
-        first: Index of a part's first number in a wider signal; None: it is whole.
-        defined: Whether the format of the file defines the signal, and not a name that a user chose.
+        first: Index of the first number in a wider signal, of which the candidate is a part; None: whole signal.
+        defined: Whether the file format defines the signal, not a name that a user chose.
     """
 
     label: str
@@ -120,82 +120,89 @@ def propose(candidates: Sequence[SignalCandidate], arms: dict[str, int]) -> dict
         candidates: Candidates of the recording.
         arms: Number of joints, by arm.
     """
-    found = {}
-    for place, (arm, count) in enumerate(arms.items()):
+    proposals = {}
+    for index, (arm, count) in enumerate(arms.items()):
         signals: dict[str, int] = {}
         for name in (*REQUIRED, "command"):
-            fits = [
+            fitting = [
                 number
-                for number, one in enumerate(candidates)
-                if one.guess == name and (one.joints or one.width == count)
+                for number, candidate in enumerate(candidates)
+                if candidate.guess == name and (candidate.joints or candidate.width == count)
             ]
-            own = [number for number in fits if len(arms) > 1 and arm in candidates[number].label]
-            common = [
+            of_arm = [number for number in fitting if len(arms) > 1 and arm in candidates[number].label]
+            of_no_other_arm = [
                 number
-                for number in fits
-                if not any(other in candidates[number].label for other in arms if other != arm)
+                for number in fitting
+                if not any(other_arm in candidates[number].label for other_arm in arms if other_arm != arm)
             ]
-            if own or common:
-                # Without a name of an arm they are in the order of the arms.
-                signals[name] = own[0] if own else common[min(place, len(common) - 1)]
-            elif name in REQUIRED and (numeric := [n for n, one in enumerate(candidates) if not one.pose]):
+            if of_arm or of_no_other_arm:
+                # Signals without the name of an arm are in the order of the arms.
+                signals[name] = of_arm[0] if of_arm else of_no_other_arm[min(index, len(of_no_other_arm) - 1)]
+            elif name in REQUIRED and (
+                numeric := [number for number, candidate in enumerate(candidates) if not candidate.pose]
+            ):
                 signals[name] = numeric[0]
-        named = candidates[signals["position"]].joints if "position" in signals else ()
-        found[arm] = Proposal(joints_of(named, arm, len(arms) > 1, count), signals)
-    return found
+        joint_names = candidates[signals["position"]].joints if "position" in signals else ()
+        proposals[arm] = Proposal(joints_of(joint_names, arm, len(arms) > 1, count), signals)
+    return proposals
 
 
-def joints_of(names: Sequence[str], arm: str, several: bool, count: int) -> tuple[str, ...]:
+def joints_of(names: Sequence[str], arm: str, several_arms: bool, count: int) -> tuple[str, ...]:
     """The joints of an arm among the names of a recording; numbered if there are no names.
 
     Args:
         names: Joint names in the recording, base to tip.
         arm: Name of the arm.
-        several: Whether there are other arms.
+        several_arms: Whether there are other arms.
         count: How many joints it has.
     """
     if not names:
         return tuple(f"joint{number}" for number in range(1, count + 1))
-    own = [name for name in names if several and arm in name] or list(names)
-    if len(own) > count:
-        own = [name for name in own if not FINGERS.search(name)]
-    return tuple(own[:count])
+    joints = [name for name in names if several_arms and arm in name] or list(names)
+    if len(joints) > count:
+        joints = [name for name in joints if not FINGERS.search(name)]
+    return tuple(joints[:count])
 
 
 def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
-    """Parts of a wider signal with as many numbers as an arm has joints; the others may be a gripper's.
+    """Parts of a wider signal with as many numbers as an arm has joints; the other numbers may be a gripper.
 
     Args:
         candidate: A signal that may be wider.
         count: How many joints the arm has.
 
     Returns:
-        The first numbers, the next ones, and so on; empty if it is not a little wider, or names its joints.
+        The first numbers, the numbers from the second on, and so on; empty if the signal has as many numbers as joints,
+        many more, or names its joints.
     """
-    beside, source = candidate.width - count, candidate.source
-    if candidate.pose or candidate.joints or "names" in source or not 0 < beside <= MAX_GRIPPER_NUMBERS or count == 1:
-        return []  # of one joint every column is a candidate of its own
-    found = []
-    for first in range(beside + 1):
-        which = "first" if first == 0 else "last" if first == beside else "middle"
-        own = {**source, "entries": list(range(first + 1, first + count + 1))}
+    excess, source = candidate.width - count, candidate.source
+    if candidate.pose or candidate.joints or "names" in source or not 0 < excess <= MAX_GRIPPER_NUMBERS or count == 1:
+        return []  # for one joint every column is a candidate already
+    parts = []
+    for first in range(excess + 1):
+        position = "first" if first == 0 else "last" if first == excess else "middle"
+        part_source = {**source, "entries": list(range(first + 1, first + count + 1))}
         if "columns" in source:
-            own = {"columns": source["columns"][first : first + count]}
+            part_source = {"columns": source["columns"][first : first + count]}
         elif "{joint}" in source.get("column", ""):
-            named = [source["column"].replace("{joint}", str(number)) for number in own["entries"]]
-            own = {"columns": named} if first else source  # {joint} stands for as many as there are joints
-        label = f"{candidate.label}, the {which} {count}"
-        found.append(replace(candidate, label=label, source=own, width=count, first=first))
-    return found
+            columns = [source["column"].replace("{joint}", str(number)) for number in part_source["entries"]]
+            part_source = {"columns": columns} if first else source  # {joint} stands for as many as there are joints
+        label = f"{candidate.label}, the {position} {count}"
+        parts.append(replace(candidate, label=label, source=part_source, width=count, first=first))
+    return parts
 
 
 def of_side(candidates: Sequence[SignalCandidate], facts: RobotFacts) -> list[SignalCandidate]:
-    """Without those whose joints are called left where the links of the robot are called right, or the reverse."""
-    own = {side[0].lower() for link in facts.links if (side := SIDES.search(link.name))}
-    if len(own) != 1:
+    """Candidates except joints of the left side of a robot whose links are called right, or the reverse."""
+    robot_sides = {side[0].lower() for link in facts.links if (side := SIDES.search(link.name))}
+    if len(robot_sides) != 1:
         return list(candidates)
-    sides = [{side[0].lower() for name in one.joints if (side := SIDES.search(name))} for one in candidates]
-    return [one for one, named in zip(candidates, sides, strict=True) if not named or named & own]
+    sides = [{side[0].lower() for name in candidate.joints if (side := SIDES.search(name))} for candidate in candidates]
+    return [
+        candidate
+        for candidate, named_sides in zip(candidates, sides, strict=True)
+        if not named_sides or named_sides & robot_sides
+    ]
 
 
 def in_order(candidate: SignalCandidate, order: Sequence[int]) -> SignalCandidate:
@@ -203,7 +210,7 @@ def in_order(candidate: SignalCandidate, order: Sequence[int]) -> SignalCandidat
 
     Args:
         candidate: Signal of joints without names.
-        order: Index, from 0, of each joint's number, base to tip.
+        order: Index from 0 of the number of each joint, base to tip.
     """
     source = dict(candidate.source)
     if "{joint}" in source.get("column", ""):
@@ -238,43 +245,43 @@ def single_candidates(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]
 
 def _in_bag(path: Path) -> list[SignalCandidate]:
     """The first message of every topic."""
-    found: list[SignalCandidate] = []
+    candidates: list[SignalCandidate] = []
     store = typestore_for(path)
-    seen: set[str] = set()
+    topics: set[str] = set()
     try:
         with open_bag(path) as reader:
             for connection in reader.connections:
                 register(store, connection)
             for connection, _, data in reader.messages():
-                if connection.topic in seen:
+                if connection.topic in topics:
                     continue
-                seen.add(connection.topic)
+                topics.add(connection.topic)
                 message = deserialized(store, path, data, connection.msgtype)
-                found += _in_message(connection.topic, connection.msgtype, message)
-                if len(seen) == len(reader.topics):
+                candidates += _in_message(connection.topic, connection.msgtype, message)
+                if len(topics) == len(reader.topics):
                     break
     except InputError:
         raise
     except Exception as error:  # a damaged file can fail anywhere inside the library
         raise unreadable(path, error) from None
-    return found
+    return candidates
 
 
 def _in_message(topic: str, kind: str, message: Any) -> Iterator[SignalCandidate]:
     if _holds_pose(message) and not topic.endswith(STATIC):
         yield SignalCandidate(topic, {"topic": topic, "type": kind}, True, OBJECT_POSE)
-    for place, numbers in _numbers(message):
-        source = {"topic": topic, "type": kind, "field": place}
+    for path, numbers in _numbers(message):
+        source = {"topic": topic, "type": kind, "field": path}
         joints: tuple[str, ...] = ()
-        before, _, own = place.rpartition(".")
-        for prefix in (f"{before}.", ""):  # names beside the numbers, or of the whole message
+        parent, _, name = path.rpartition(".")
+        for prefix in (f"{parent}.", ""):  # names next to the numbers, or in the message itself
             key, names = _names(reduce(getattr, filter(None, prefix.split(".")), message))
             if key and len(names) == numbers:
                 source["names"] = f"{prefix}{key}".lstrip(".")
                 joints = tuple(sorted(names, key=_base_to_tip))
                 break
-        guess = "command" if "command" in topic else guess_of(own)
-        label, stamped = f"{topic}: {place} ({numbers})", hasattr(message, "header")
+        guess = "command" if "command" in topic else guess_of(name)
+        label, stamped = f"{topic}: {path} ({numbers})", hasattr(message, "header")
         defined = kind.partition("/")[0] in DEFINING and guess in ("position", "velocity", "acceleration")
         yield SignalCandidate(label, source, False, guess, numbers, joints, stamped, defined=defined)
 
@@ -289,7 +296,7 @@ def _names(message: Any) -> tuple[str, list[str]]:
 
 
 def _base_to_tip(name: str) -> tuple[int, list[Any]]:
-    part = next((place for place, part in enumerate(PARTS) if part in name), 0)
+    part = next((position for position, part in enumerate(PARTS) if part in name), 0)
     return part, [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
 
 
@@ -302,22 +309,22 @@ def _holds_pose(message: Any, depth: int = MAX_NESTED_FIELDS) -> bool:
     return depth > 0 and any(_holds_pose(part, depth - 1) for part in inner if part is not None)
 
 
-def _numbers(message: Any, before: str = "", depth: int = MAX_NESTED_FIELDS) -> Iterator[tuple[str, int]]:
+def _numbers(message: Any, prefix: str = "", depth: int = MAX_NESTED_FIELDS) -> Iterator[tuple[str, int]]:
     """Path and size of the fields with several numbers."""
     for name, value in vars(message).items():
         if name.startswith("__"):
             continue
-        place = f"{before}{name}"
+        path = f"{prefix}{name}"
         if isinstance(value, np.ndarray):
             if value.ndim == 1 and 0 < value.size <= MAX_JOINT_NUMBERS and np.issubdtype(value.dtype, np.floating):
-                yield place, int(value.size)
+                yield path, int(value.size)
         elif depth > 0 and hasattr(value, "__msgtype__") and name != "header":
-            yield from _numbers(value, f"{place}.", depth - 1)
+            yield from _numbers(value, f"{path}.", depth - 1)
 
 
 def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
-    """Columns whose names differ in a number, a part of an arm or all but a word, with vectors as cells, of a pose."""
-    found = []
+    """Columns that differ in a number, in a part of an arm, or in all words but one; columns of vectors; poses."""
+    candidates = []
     cells = read_columns(path, layout).cells
     columns = list(cells)
     groups: dict[str, set[int]] = {}
@@ -333,76 +340,80 @@ def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
             continue
         names = [pattern.replace("{joint}", str(number)) for number in range(first, last + 1)]
         source = {"column": pattern} if first == 1 else {"columns": names}
-        found.append(SignalCandidate(f"{names[0]} … {names[-1]}", source, False, guess_of(pattern), len(numbers)))
-    for pattern, own in parts.items():
-        if len(own) > 1:
-            names = sorted(own, key=_base_to_tip)
+        candidates.append(SignalCandidate(f"{names[0]} … {names[-1]}", source, False, guess_of(pattern), len(numbers)))
+    for pattern, members in parts.items():
+        if len(members) > 1:
+            names = sorted(members, key=_base_to_tip)
             label = f"{names[0]} … {names[-1]}"
-            found.append(SignalCandidate(label, {"columns": names}, False, guess_of(pattern), len(names)))
-    found += [one for one in _alike_but_a_word(columns) if one.label not in {other.label for other in found}]
-    named = list(_named_vectors(path, {column: vector_width(cells[column]) for column in columns}))
-    found += named
+            candidates.append(SignalCandidate(label, {"columns": names}, False, guess_of(pattern), len(names)))
+    candidates += [
+        candidate
+        for candidate in _alike_but_a_word(columns)
+        if candidate.label not in {listed.label for listed in candidates}
+    ]
+    named_vectors = list(_named_vectors(path, {column: vector_width(cells[column]) for column in columns}))
+    candidates += named_vectors
     for column in columns:
         width = vector_width(cells[column])
-        if width > 1 and not any(one.source["column"] == column for one in named):
+        if width > 1 and not any(vector.source["column"] == column for vector in named_vectors):
             pose = width == len(POSE_COLUMNS) and _is_of_an_object(column)
             guess = OBJECT_POSE if pose else guess_of(column)
-            found.append(SignalCandidate(f"{column} ({width})", {"column": column}, pose, guess, width))
+            candidates.append(SignalCandidate(f"{column} ({width})", {"column": column}, pose, guess, width))
     for column in columns:
-        before = column.removesuffix("qw")
-        names = [f"{before}{axis}" for axis in POSE_COLUMNS]
-        if before != column and set(names) <= set(columns):
-            found.append(SignalCandidate(f"{names[0]} … {names[-1]}", {"columns": names}, True, OBJECT_POSE))
-    return found
+        prefix = column.removesuffix("qw")
+        names = [f"{prefix}{axis}" for axis in POSE_COLUMNS]
+        if prefix != column and set(names) <= set(columns):
+            candidates.append(SignalCandidate(f"{names[0]} … {names[-1]}", {"columns": names}, True, OBJECT_POSE))
+    return candidates
 
 
 def _named_vectors(path: Path, widths: dict[str, int]) -> Iterator[SignalCandidate]:
-    """Vectors of a LeRobot data set: the arm of each side without its gripper, by the names of their numbers."""
+    """Vectors of a LeRobot data set: the arm of each side without its gripper, by the names of the numbers."""
     data = data_set_of(path)
     for column, names in ({} if data is None else data.names).items():
         if len(names) != widths.get(column, 0):
             continue
         sides: dict[str, list[int]] = {}
-        for entry, name in enumerate(names):
+        for index, name in enumerate(names):
             side = SIDES.search(name)
             if not FINGERS.search(name):
-                sides.setdefault(side[0].lower() if side else "", []).append(entry)
-        for own in sides.values():
-            joints = tuple(names[entry] for entry in own)
-            if len(own) > 1:
+                sides.setdefault(side[0].lower() if side else "", []).append(index)
+        for indices in sides.values():
+            joints = tuple(names[index] for index in indices)
+            if len(indices) > 1:
                 label, source = f"{column}: {joints[0]} … {joints[-1]}", {"column": column}
-                entries = [entry + 1 for entry in own]
+                entries = [index + 1 for index in indices]
                 guess = {MEASURED: "position", DESIRED: Q_DESIRED}.get(column) or guess_of(column)
-                yield SignalCandidate(label, {**source, "entries": entries}, False, guess, len(own), joints)
+                yield SignalCandidate(label, {**source, "entries": entries}, False, guess, len(indices), joints)
 
 
 def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
     """Columns of joints that have names: ``lift_position``, ``arm_1_position``, ... or ``tau_lift``, ``tau_arm_1``."""
-    for place in (0, -1):
+    for word_index in (0, -1):
         groups: dict[str, list[str]] = {}
         for column in columns:
             words = [word for word in re.split(r"[\W_]+", column) if word]
             if len(words) > 1:
-                groups.setdefault(words[place], []).append(column)
-        for word, own in groups.items():
-            if 1 < len(own) <= MAX_JOINT_NUMBERS and (guess := guess_of(word)):
-                yield SignalCandidate(f"{own[0]} … {own[-1]}", {"columns": own}, False, guess, len(own))
+                groups.setdefault(words[word_index], []).append(column)
+        for word, members in groups.items():
+            if 1 < len(members) <= MAX_JOINT_NUMBERS and (guess := guess_of(word)):
+                yield SignalCandidate(f"{members[0]} … {members[-1]}", {"columns": members}, False, guess, len(members))
 
 
 def _in_arrays(path: Path) -> list[SignalCandidate]:
-    found = []
+    candidates = []
     for name, shape in ArrayFile.shapes_of(path).items():
         if are_transforms(shape):
             label = f"{name} ({' × '.join(map(str, shape))})"
-            found.append(SignalCandidate(label, {"array": name}, True, OBJECT_POSE, len(POSE_COLUMNS)))
+            candidates.append(SignalCandidate(label, {"array": name}, True, OBJECT_POSE, len(POSE_COLUMNS)))
             continue
         width = width_of(shape)
         if width < 2:
             continue
         pose = width == len(POSE_COLUMNS) and _is_of_an_object(name)
         guess = OBJECT_POSE if pose else guess_of(name)
-        found.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess, width))
-    return found
+        candidates.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess, width))
+    return candidates
 
 
 def vector_width(cells: Sequence[str] | NDArray[Any]) -> int:

@@ -46,16 +46,16 @@ class DescribedRuns:
         self._refused: list[InputError] = []
 
     def rows(self, mapping: Mapping) -> list[FoundRun]:
-        """Every readable run; the others are noted."""
+        """Every readable run; unreadable runs are noted."""
         groups = self._groups
         has_object = any(name.startswith("object") for name in mapping.signals)
         needed = {source.file for source in mapping.signals.values() if source.file is not None}
         objects = groups.objects if any(OBJECT in file for file in needed) else {}
-        rows, missing = [], []
+        rows, incomplete = [], []
         for run, session in self._named_runs(mapping):
-            lacking = needed & {kind for kind, files in groups.kinds.items() if groups.spread and run not in files}
-            if lacking:
-                missing.append(f"{run} ({', '.join(sorted(lacking))})")
+            absent = {kind for kind, files in groups.kinds.items() if groups.spread and run not in files}
+            if missing := needed & absent:
+                incomplete.append(f"{run} ({', '.join(sorted(missing))})")
                 continue
             row = FoundRun(run, objects.get(run, ""), session)
             try:
@@ -64,21 +64,21 @@ class DescribedRuns:
                 self._leave_out(run, error)
                 continue
             rows.append(replace(row, hit=moves or mapping.robot == NO_ROBOT))
-        if missing:
-            self._notes.remarks.append(f"left out, for a file is missing: {'; '.join(missing)}")
+        if incomplete:
+            self._notes.remarks.append(f"left out, because a file is missing: {'; '.join(incomplete)}")
         if not rows and self._refused:
             raise self._refused[0]
         if not rows:
-            raise InputError(f"no run has all of its files: {'; '.join(missing)}", file=groups.folder)
-        self._say_unread(needed)
+            raise InputError(f"no run has all of its files: {'; '.join(incomplete)}", file=groups.folder)
+        self._note_unread(needed)
         if (groups.folder / RUN_TABLE).is_file():
             self._notes.remarks.append(
-                f"{groups.folder / RUN_TABLE} says what each run is, and is used before the one made here"
+                f"{groups.folder / RUN_TABLE} is a table of runs, and is used instead of the table of this import"
             )
         if groups.sessions:
             self._notes.add(
                 "session in runs.csv", flow(list(dict.fromkeys(groups.sessions.values()))),
-                "the folders that runs lie in; impacts makes a column of it, for --covariates session",
+                "folders of the runs; impacts makes a column of them, for --covariates session",
             )  # fmt: skip
         if has_object and mapping.robot != NO_ROBOT and any(row.hit for row in rows):
             self._notes.add(
@@ -95,38 +95,38 @@ class DescribedRuns:
                 yield run, session
                 continue
             try:
-                inside = find_runs(self._groups.folder / run, mapping)
+                paths = find_runs(self._groups.folder / run, mapping)
             except InputError as error:
                 self._leave_out(run, error)
                 continue
-            yield from ((str(path.relative_to(self._groups.folder)), session) for path in inside)
+            yield from ((str(path.relative_to(self._groups.folder)), session) for path in paths)
 
     def _leave_out(self, run: str, error: InputError) -> None:
         self._refused.append(error)
-        self._notes.remarks.append(f"{run} is left out, for the reader refuses it: {error}")
+        self._notes.remarks.append(f"{run} is left out, because the reader refuses it: {error}")
 
-    def _say_unread(self, needed: set[str]) -> None:
-        """Files that hold no signal of the mapping."""
+    def _note_unread(self, needed: set[str]) -> None:
+        """Note the files that hold no signal of the mapping."""
         unread = [kind for kind in self._groups.kinds if self._groups.spread and kind not in needed]
         names = [*unread, *(str(path.relative_to(self._groups.folder)) for path in self._groups.left_out)]
         if names:
-            self._notes.remarks.append(f"not read, for the mapping takes no signal from them: {', '.join(names)}")
+            self._notes.remarks.append(f"not read, because the mapping takes no signal from them: {', '.join(names)}")
 
     def _with_objects(self, rows: list[FoundRun]) -> list[FoundRun]:
         """Rows with the object that was hit."""
         objects = [] if self._scenario is None else list(load_scenario(self._scenario).objects)
-        if named := list(dict.fromkeys(row.object for row in rows if row.object)):
-            self._notes.add("object in runs.csv", flow(named), "the names of the files say which")
-            if objects and not set(named) <= set(objects):
+        if object_names := list(dict.fromkeys(row.object for row in rows if row.object)):
+            self._notes.add("object in runs.csv", flow(object_names), "by the names of the files")
+            if objects and not set(object_names) <= set(objects):
                 self._notes.remarks.append(
-                    f"files call the objects {', '.join(named)}, {self._scenario} has {', '.join(objects)}: "
-                    "the objects of the scenario need the names that stand in the files"
+                    f"files call the objects {', '.join(object_names)}, {self._scenario} has {', '.join(objects)}: "
+                    "name the objects of the scenario as the files do"
                 )
             return rows
-        path = [str(self._groups.folder / row.run) for row in rows]
-        inside = [next((name for name in objects if name in one), "") for one in path]
-        usual = (objects or ["OBJECT"])[0]
-        rows = [replace(row, object=one or usual) for row, one in zip(rows, inside, strict=True)]
+        run_paths = [str(self._groups.folder / row.run) for row in rows]
+        in_path = [next((name for name in objects if name in run_path), "") for run_path in run_paths]
+        default_object = (objects or ["OBJECT"])[0]
+        rows = [replace(row, object=name or default_object) for row, name in zip(rows, in_path, strict=True)]
         if len(objects) != 1:
             self._notes.add(
                 "object in runs.csv", flow([row.object for row in rows][:3]), "say which object was hit", False
@@ -134,15 +134,15 @@ class DescribedRuns:
         return rows
 
     def clock_of_object(self, mapping: Mapping, rows: Sequence[FoundRun], signals: dict[str, dict[str, Any]]) -> bool:
-        """Give the object its own clock if it does not start to move at the impact of the arm; whether it was given."""
+        """Set ``clock: own`` for an object that does not start to move at the impact of the arm; whether it was set."""
         names = [name for name in OBJECT_SIGNALS if name in signals]
         hits = [row for row in rows if row.hit][:MAX_RUNS_WITH_CLOCK]
-        seen = [clocks_of(self._groups.folder / row.run, mapping, row.names) for row in hits] if names else []
-        apart = [one for one in seen if one is not None]
-        if 2 * len(apart) <= len(seen):
+        compared = [clocks_of(self._groups.folder / row.run, mapping, row.names) for row in hits] if names else []
+        differing = [clocks for clocks in compared if clocks is not None]
+        if 2 * len(differing) <= len(compared):
             return False
-        middle = sorted(apart, key=lambda one: one.offset)[len(apart) // 2]
-        evidence = f"{middle.evidence}; so in {len(apart)} of {len(seen)} runs that were looked at"
+        median = sorted(differing, key=lambda clocks: clocks.offset)[len(differing) // 2]
+        evidence = f"{median.evidence}; so in {len(differing)} of {len(compared)} compared runs"
         for name in names:
             signals[name]["clock"] = "own"
             self._notes.add(f"signals.{name}.clock", "own", evidence)
@@ -156,7 +156,7 @@ class DescribedRuns:
             if mapping.robot == NO_ROBOT or row.hit:
                 wanted: list[SignalName] = list(mapping.signals)
                 read = read_series(path, mapping, wanted, wanted, row.names)
-                self._notes.remarks += [remark for one in read.values() for remark in one.remarks]
+                self._notes.remarks += [remark for series in read.values() for remark in series.remarks]
                 if mapping.robot != NO_ROBOT:
                     self._notes.remarks += impact_warnings(read, mapping)
             else:
@@ -165,27 +165,26 @@ class DescribedRuns:
                     remark for run in read_recordings(target, mapping)[:1] for remark in run.remarks
                 ]
         except InputError as error:
-            self._notes.remarks.append(f"the reader refuses {row.run} as it is described: {error}")
+            self._notes.remarks.append(f"the reader refuses {row.run} with this mapping: {error}")
 
     def compare(self, mapping: Mapping, rows: Sequence[FoundRun], facts: RobotFacts) -> None:
-        """Compare units and signs of further runs with the first, the source of the description."""
-        first, *others = rows
-        numbers = evenly(len(others), MAX_RUNS_COMPARED)
+        """Compare units and signs of further runs with the first run, from which the mapping was made."""
+        first, *further = rows
+        compared = evenly(len(further), MAX_RUNS_COMPARED)
         model = RobotModel(facts, MountedEndEffector().build())
-        apart = 0
-        for row in (others[number] for number in numbers):
+        contradicting = 0
+        for row in (further[index] for index in compared):
             try:
                 warning = mapping_warning(self._groups.folder / row.run, mapping, row.names, model)
             except InputError as error:
                 warning = f"the reader refuses it: {error}"
             if warning is not None:
-                apart += 1
+                contradicting += 1
                 self._notes.remarks.append(
-                    f"{row.run} is not as {first.run}, of which the description was made: {warning}; describe it by "
-                    "itself, or take it out of runs.csv"
+                    f"{row.run} differs from {first.run}, from which the mapping was made: {warning}; import it "
+                    "separately, or take it out of runs.csv"
                 )
-        if others and not apart:
-            evidence = (
-                f"units and signs of {first.run} hold in {len(numbers)} other{'s' if len(numbers) > 1 else ''} as well"
-            )
-            self._notes.add("runs", f"{len(numbers)} of {len(others)} others", evidence)
+        if further and not contradicting:
+            others = f"{len(compared)} other{'s' if len(compared) > 1 else ''}"
+            evidence = f"units and signs of {first.run} hold in {others} as well"
+            self._notes.add("runs", f"{len(compared)} of {len(further)} others", evidence)

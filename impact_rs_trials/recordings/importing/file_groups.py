@@ -10,8 +10,8 @@
     monday/hit_1.csv, tuesday/hit_1.csv, ...                   any of these in a folder per session
     calm.csv, fast.csv, with the same columns                  a file per run, whatever the names (whole_runs)
 
-Names that differ in numbers alone are of one kind; the last number that differs is the run's, or several at the end
-if files of all kinds have them. Folder and number identify a run: two sessions may count from 1.
+Names that differ in numbers alone are of one kind. The last number that differs is the run, or the last several
+numbers if files of all kinds have them. Folder and number identify a run: two sessions may count from 1.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from impact_rs_trials.recordings.importing.joint_streams import COMMANDED
 from impact_rs_trials.recordings.readers.run_finder import name_of, natural_key
 
 NUMBER = re.compile(r"\d+")
-WORD = re.compile(r"[^\W_]+")  # of a name, between what separates words
+WORD = re.compile(r"[^\W_]+")  # of a name
 SEPARATORS = "_-. "
 RUN = "{run}"
 OBJECT = "{object}"
@@ -44,7 +44,7 @@ class FileGroups:
         runs: Names of the runs relative to the folder, in natural order.
         spread: Whether a run has several files, so that every signal needs its ``file``.
         objects: Objects by run, if the names of files contain them.
-        left_out: Files whose names contain no run, in addition to others that do.
+        left_out: Files whose names contain no run, while names of other files do.
     """
 
     folder: Path
@@ -57,9 +57,9 @@ class FileGroups:
     @property
     def sessions(self) -> dict[str, str]:
         """Folder of every run relative to :attr:`folder`; empty if no folder holds several runs."""
-        found = {run: os.path.dirname(run) for run in self.runs}
-        several = 1 < len(set(found.values())) < len(self.runs)
-        return {run: session or "." for run, session in found.items()} if several else {}
+        folders = {run: os.path.dirname(run) for run in self.runs}
+        several = 1 < len(set(folders.values())) < len(self.runs)
+        return {run: session or "." for run, session in folders.items()} if several else {}
 
 
 def group_files(files: Sequence[Path]) -> FileGroups:
@@ -90,34 +90,34 @@ def group_files(files: Sequence[Path]) -> FileGroups:
     if len(shapes) == 1:
         by_run = {str(file.relative_to(root)): file for file in files}
         return FileGroups(root, {"": by_run}, tuple(by_run), False)
-    if named := _named_by_words(files):
-        return _grouped(root, named)
+    if by_words := _named_by_words(files):
+        return _grouped(root, by_words)
     return _grouped(root, dict(_with_runs(list(shapes.values()))))
 
 
 def whole_runs(groups: FileGroups, columns: Callable[[Path], frozenset[str]], bodies: bool) -> FileGroups | None:
-    """A run per file, if kinds of files have the same names of columns, so that each file is a whole run.
+    """A run per file, if all kinds of files have the same column names, so that each file is a whole run.
 
-    Every kind has positions and another signal of joints, or no signal of joints where a body may move alone. Files
-    that are named after signals, as q.csv and tau.csv, or of which some are named after targets, as measured_1.csv
-    and desired_1.csv, stay one run, whatever their columns are called.
+    Every kind has positions and another signal of joints, or no signal of joints if a body may move alone. Files named
+    after signals, such as q.csv and tau.csv, stay one run, as do files of which some are named after targets, such as
+    measured_1.csv and desired_1.csv.
 
     Args:
         groups: Files by name.
-        columns: Names of the columns of a file, asked of the first of each kind; empty: it names none.
-        bodies: Whether the recordings may be those of a body without a robot.
+        columns: Names of the columns of a file, called for the first file of each kind; empty: columns without names.
+        bodies: Whether the recordings may be of a body without a robot.
 
     Returns:
-        The same files, or None.
+        The files as runs; None: kinds of files of one run.
     """
     kinds = [Path(kind).stem for kind in groups.kinds]
     targets = sum(COMMANDED.search(kind) is not None for kind in kinds)
     if not groups.spread or len(kinds) < 2 or _are_signals(kinds) or 0 < targets < len(kinds):
         return None
-    named = {columns(next(iter(by_run.values()))) for by_run in groups.kinds.values()}
-    if len(named) > 1 or not (names := named.pop()):
+    column_sets = {columns(next(iter(by_run.values()))) for by_run in groups.kinds.values()}
+    if len(column_sets) > 1 or not (columns_of_all := column_sets.pop()):
         return None
-    hints = {guess_of(name) for name in names} - {""}
+    hints = {guess_of(name) for name in columns_of_all} - {""}
     if not ({"position"} < hints or (bodies and not hints)):
         return None
     files = sorted((file for by_run in groups.kinds.values() for file in by_run.values()), key=natural_key)
@@ -136,19 +136,19 @@ def _named_by_words(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
     if len({file.parent for file in files}) > 1 or {file.suffix for file in files} != {ending}:
         return {}
     for word in WORD.finditer(stems[0]):
-        head, tail = stems[0][: word.start()], stems[0][word.start() :]
-        tails = [stem[len(head) :] for stem in stems if stem.startswith(head)]
-        heads = [stem[: -len(tail)] for stem in stems if stem.endswith(tail)]
-        if min(len(heads), len(tails)) < 2 or {one + other for one in heads for other in tails} != set(stems):
+        first_head, first_tail = stems[0][: word.start()], stems[0][word.start() :]
+        tails = [stem[len(first_head) :] for stem in stems if stem.startswith(first_head)]
+        heads = [stem[: -len(first_tail)] for stem in stems if stem.endswith(first_tail)]
+        if min(len(heads), len(tails)) < 2 or {head + tail for head in heads for tail in tails} != set(stems):
             continue
         if _are_signals(heads):
-            parted = {one + other: (f"{one}{RUN}{ending}", other) for one in heads for other in tails}
+            parted = {head + tail: (f"{head}{RUN}{ending}", tail) for head in heads for tail in tails}
         elif _are_signals(tails):
-            named = {one: one.rstrip(SEPARATORS) for one in heads}
+            run_of_head = {head: head.rstrip(SEPARATORS) for head in heads}
             parted = {
-                one + other: (f"{RUN}{one.removeprefix(run)}{other}{ending}", run)
-                for one, run in named.items()
-                for other in tails
+                head + tail: (f"{RUN}{head.removeprefix(run)}{tail}{ending}", run)
+                for head, run in run_of_head.items()
+                for tail in tails
             }
         else:
             continue
@@ -163,7 +163,7 @@ def _are_signals(parts: Sequence[str]) -> bool:
 
 
 def _are_runs(by_folder: dict[Path, list[str]]) -> bool:
-    """Whether every folder holds the files of one run: the same names in all of them, some of which are alone."""
+    """Whether every folder holds the files of one run: the same names in all folders, some of a unique shape."""
     if len(by_folder) < 2 or len({frozenset(names) for names in by_folder.values()}) > 1:
         return False
     names = next(iter(by_folder.values()))
@@ -174,81 +174,86 @@ def _are_runs(by_folder: dict[Path, list[str]]) -> bool:
 def _numbered_objects(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
     """Kind and object of every file if folders are runs with a file of each kind; else empty.
 
-    One kind has the same name in all folders. The number of another is an object's: it comes back in other folders, or
-    is not the number of its folder.
+    One kind has the same name in all folders. Another kind has a number, which is the object if it returns in other
+    folders, or is not the number of its folder.
     """
     folders = {file.parent for file in files}
     shapes: dict[str, list[Path]] = {}
     for file in files:
         shapes.setdefault(_shape(file.name), []).append(file)
-    once = all(len({file.parent for file in alike}) == len(alike) == len(folders) for alike in shapes.values())
-    if len(folders) < 2 or len(shapes) < 2 or not once:
+    one_per_folder = all(
+        len({file.parent for file in group}) == len(group) == len(folders) for group in shapes.values()
+    )
+    if len(folders) < 2 or len(shapes) < 2 or not one_per_folder:
         return {}
-    places = {shape: _differing(alike) for shape, alike in shapes.items()}
-    if all(places.values()) or not any(places.values()) or any(len(own) > 1 for own in places.values()):
+    differing = {shape: _differing(group) for shape, group in shapes.items()}
+    counts = {len(indices) for indices in differing.values()}
+    if counts != {0, 1}:
         return {}
-    found: dict[Path, tuple[str, str]] = {}
-    for shape, alike in shapes.items():
-        if not places[shape]:
-            found |= {file: (file.name, "") for file in alike}
+    kind_and_object: dict[Path, tuple[str, str]] = {}
+    for shape, group in shapes.items():
+        if not differing[shape]:
+            kind_and_object |= {file: (file.name, "") for file in group}
             continue
-        (place,) = places[shape]
-        numbers = [NUMBER.findall(file.name)[place] for file in alike]
-        of_run = all(number in NUMBER.findall(file.parent.name) for file, number in zip(alike, numbers, strict=True))
+        (index,) = differing[shape]
+        numbers = [NUMBER.findall(file.name)[index] for file in group]
+        of_run = all(number in NUMBER.findall(file.parent.name) for file, number in zip(group, numbers, strict=True))
         if of_run and len(set(numbers)) == len(numbers):
             return {}
-        kinds = [_split(file.name, place, place)[0].replace(RUN, OBJECT) for file in alike]
-        found |= {file: (kind, number) for file, kind, number in zip(alike, kinds, numbers, strict=True)}
-    return found
+        kinds = [_split(file.name, index, index)[0].replace(RUN, OBJECT) for file in group]
+        kind_and_object |= {file: (kind, number) for file, kind, number in zip(group, kinds, numbers, strict=True)}
+    return kind_and_object
 
 
 def _with_runs(shapes: Sequence[Sequence[Path]]) -> Iterator[tuple[Path, tuple[str, str]]]:
     """Kind and run of every file, from files grouped by the shape of their names; no run in the name: empty."""
-    differing = [_differing(alike) for alike in shapes]
+    differing = [_differing(group) for group in shapes]
     runs: set[str] = set()
-    for count in range(min((len(places) for places in differing if places), default=0), 0, -1):
-        # Of several numbers at the end the run takes as many as files of all kinds have in common.
-        named = [
-            {_split(file.name, places[-count], places[-1])[1] for file in alike}
-            for alike, places in zip(shapes, differing, strict=True)
-            if places
+    for count in range(min((len(indices) for indices in differing if indices), default=0), 0, -1):
+        # A run has as many numbers at the end of the name as files of all kinds have in common.
+        runs_of_kinds = [
+            {_split(file.name, indices[-count], indices[-1])[1] for file in group}
+            for group, indices in zip(shapes, differing, strict=True)
+            if indices
         ]
-        runs = set().union(*named)
-        if set.intersection(*named):
+        runs = set().union(*runs_of_kinds)
+        if set.intersection(*runs_of_kinds):
             break
     else:
         count = 1
-    for alike, places in zip(shapes, differing, strict=True):
-        known = runs or _shared(shapes, alike)
-        for file in alike:
-            first, last = (places[-count], places[-1]) if places else (-1, -1)
-            if not places:
-                here = [place for place, number in enumerate(NUMBER.findall(file.name)) if number in known]
-                first = last = here[-1] if here else -1
+    for group, indices in zip(shapes, differing, strict=True):
+        run_numbers = runs or _shared(shapes, group)
+        for file in group:
+            first, last = (indices[-count], indices[-1]) if indices else (-1, -1)
+            if not indices:
+                in_name = [index for index, number in enumerate(NUMBER.findall(file.name)) if number in run_numbers]
+                first = last = in_name[-1] if in_name else -1
             yield file, _split(file.name, first, last) if last >= 0 else (file.name, "")
 
 
-def _differing(alike: Sequence[Path]) -> list[int]:
+def _differing(files: Sequence[Path]) -> list[int]:
     """Indices of the numbers that differ between names of one shape."""
-    columns = zip(*(NUMBER.findall(file.name) for file in alike), strict=True)
-    return [place for place, column in enumerate(columns) if len(set(column)) > 1]
+    columns = zip(*(NUMBER.findall(file.name) for file in files), strict=True)
+    return [index for index, column in enumerate(columns) if len(set(column)) > 1]
 
 
 def _split(name: str, first: int, last: int) -> tuple[str, str]:
-    """Kind and run of a file, with the run from one of its numbers to another."""
+    """Kind and run of a file; the run extends from the number ``first`` to the number ``last`` of the name."""
     numbers = list(NUMBER.finditer(name))
     start, end = numbers[first].start(), numbers[last].end()
     return f"{name[:start]}{RUN}{name[end:]}", name[start:end]
 
 
-def _shared(shapes: Sequence[Sequence[Path]], alike: Sequence[Path]) -> set[str]:
-    """Numbers in the names of all other shapes, for runs that nothing else distinguishes."""
-    others = [{number for file in own for number in NUMBER.findall(file.name)} for own in shapes if own is not alike]
-    return set.intersection(*others) if others else set()
+def _shared(shapes: Sequence[Sequence[Path]], files: Sequence[Path]) -> set[str]:
+    """Numbers that the names of all other shapes share, for files whose own numbers show no run."""
+    numbers_of_others = [
+        {number for file in shape for number in NUMBER.findall(file.name)} for shape in shapes if shape is not files
+    ]
+    return set.intersection(*numbers_of_others) if numbers_of_others else set()
 
 
 def _grouped(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
-    """Files by kind and run, from the kind and run of every file; without runs in the names they are the folders."""
+    """Files by kind and run, from the kind and run of every file; if no name contains a run, folders are runs."""
     numbered = any(run for _, run in named.values())
     left_out = tuple(file for file, (_, run) in named.items() if numbered and not run)
     if not numbered and any(file.parent == root for file in named):
@@ -257,9 +262,9 @@ def _grouped(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
     for file, (kind, run) in named.items():
         if file not in left_out:
             key = str((file.parent / run if run else file.parent).relative_to(root))
-            before = kinds.setdefault(kind, {}).setdefault(key, file)
-            if before != file:
-                raise InputError(f"run {key} has {before} already; import them one after the other", file=file)
+            existing = kinds.setdefault(kind, {}).setdefault(key, file)
+            if existing != file:
+                raise InputError(f"run {key} has {existing} already; import them one after the other", file=file)
     kinds, objects = _with_objects(kinds)
     runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural_key)
     return FileGroups(root, kinds, tuple(runs), True, objects, left_out)
@@ -273,18 +278,23 @@ def _with_objects(kinds: dict[str, dict[str, Path]]) -> tuple[dict[str, dict[str
             if word[0] not in (RUN.strip("{}"), Path(kind).suffix[1:]):
                 families.setdefault((kind[: word.start()], kind[word.end() :]), {})[word[0]] = kind
     for (before, after), family in families.items():
-        # A kind with all runs of another kind complements it, as a robot's file does, and is no alternative.
-        own = {word: kind for word, kind in family.items() if not _is_beside(kinds, kind, family.values())}
-        runs = [run for kind in own.values() for run in kinds[kind]]
-        rest = {kind: by_run for kind, by_run in kinds.items() if kind not in own.values()}
-        if len(own) > 1 and len(set(runs)) == len(runs) and any(set(runs) <= set(by_run) for by_run in rest.values()):
-            merged = {run: file for kind in own.values() for run, file in kinds[kind].items()}
-            objects = {run: word for word, kind in own.items() for run in kinds[kind]}
-            return {**rest, f"{before}{OBJECT}{after}": merged}, objects
+        # A kind with all runs of another kind complements it, as a file of the robot does, and is no other object.
+        by_object = {word: kind for word, kind in family.items() if not _complements(kinds, kind, family.values())}
+        runs = [run for kind in by_object.values() for run in kinds[kind]]
+        other_kinds = {kind: by_run for kind, by_run in kinds.items() if kind not in by_object.values()}
+        if (
+            len(by_object) > 1
+            and len(set(runs)) == len(runs)
+            and any(set(runs) <= set(by_run) for by_run in other_kinds.values())
+        ):
+            merged = {run: file for kind in by_object.values() for run, file in kinds[kind].items()}
+            objects = {run: word for word, kind in by_object.items() for run in kinds[kind]}
+            return {**other_kinds, f"{before}{OBJECT}{after}": merged}, objects
     return kinds, {}
 
 
-def _is_beside(kinds: Mapping[str, Mapping[str, Path]], kind: str, family: Iterable[str]) -> bool:
+def _complements(kinds: Mapping[str, Mapping[str, Path]], kind: str, family: Iterable[str]) -> bool:
+    """Whether a kind has all runs of another kind of its family."""
     return any(set(kinds[kind]) >= set(kinds[other]) for other in family if other != kind)
 
 

@@ -52,7 +52,7 @@ from impact_rs_trials.recordings.importing.recorded_files import (
 from impact_rs_trials.recordings.importing.servo_search import (
     DERIVATIVE,
     PROPORTIONAL,
-    FoundServo,
+    ServoHypothesis,
     find_servo,
     gains_in,
     named_servo_torques,
@@ -84,7 +84,7 @@ class JointSections:
         files: Its files; findings are appended to their notes.
 
     Attributes:
-        readings: Possible readings by signal, the chosen one first.
+        readings: Possible readings by signal, the chosen reading first.
         flange: Path of the flange, once the joints are described.
     """
 
@@ -104,61 +104,67 @@ class JointSections:
             if self._rate is None:
                 settle_clock(part, model)
         search = JointSearch([stream for part in self._parts for stream in part.streams], model)
-        found = self._assignment(search, robot)
-        if (order := self._order(found, search)) is not None:
+        assignment = self._assignment(search, robot)
+        if (order := self._order(assignment, search)) is not None:
             search = JointSearch([stream.in_order(order) for stream in search.streams], model)
-            found = self._assignment(search, robot)
-        self.flange = FlangePath.of(found.time, found.position.values, model)
+            assignment = self._assignment(search, robot)
+        self.flange = FlangePath.of(assignment.time, assignment.position.values, model)
         self._notes.remarks += [
-            f"{label} is left out: it {why}" for label, why in found.no_torques.items() if why == MAGNITUDE
+            f"{label} is left out: it {reason}"
+            for label, reason in assignment.no_torques.items()
+            if reason == MAGNITUDE
         ]
-        servo = None if self._is_measured(found, model) else find_servo(search, self._motions(search))
+        servo = None if self._is_measured(assignment, model) else find_servo(search, self._motions(search))
         if servo is not None:
             self._notes.remarks += [
-                f"{one.stream.label} is left out: its numbers do not show that it was measured, and those of servos do"
-                for one in found.torques
+                f"{torque.stream.label} is left out: its numbers show no measured torque, the errors of servos do"
+                for torque in assignment.torques
             ]
-            found = self._moved_by(servo, search)
-        part = self._part_of(found.position.stream)
-        _check_width(found, part, robot, facts.joint_count)
+            assignment = self._moved_by(servo, search)
+        part = self._part_of(assignment.position.stream)
+        _check_width(assignment, part, robot, facts.joint_count)
         if servo is None:
-            self._check_torques(found, search, robot)
+            self._check_torques(assignment, search, robot)
         self._notes.remarks += [
-            f"{label} is left out, for the reader refuses it: {why}" for label, why in self._refused.items()
+            f"{label} is left out, because the reader refuses it: {reason}" for label, reason in self._refused.items()
         ]
         refuse_several(part, self._groups, "joints", "robot")
-        signals = {"position": self._joint_signal(found.position, "position", part, found.alternatives["position"])}
-        if found.velocity is None:
+        signals = {
+            "position": self._joint_signal(assignment.position, "position", part, assignment.alternatives["position"])
+        }
+        if assignment.velocity is None:
             self._notes.add(
                 "signals.velocity", "none", "no signal is the derivative of the positions: velocities are computed"
             )
         else:
-            signals["velocity"] = self._joint_signal(found.velocity, "velocity", part, found.alternatives["velocity"])
-        part.on_log = not found.position.stream.candidate.stamped
-        own = {"joints": list(self._joints(found.position.stream.candidate, facts.joint_count))}
+            signals["velocity"] = self._joint_signal(
+                assignment.velocity, "velocity", part, assignment.alternatives["velocity"]
+            )
+        part.on_log = not assignment.position.stream.candidate.stamped
+        keys = {"joints": list(self._joints(assignment.position.stream.candidate, facts.joint_count))}
         if servo is None:
-            own |= self._torque(found, model, robot, signals, part)
+            keys |= self._torque(assignment, model, robot, signals, part)
         else:
-            own |= self._servo(servo, search, signals, part)
-        if (motors := search.motors(found)) is not None:
+            keys |= self._servo(servo, search, signals, part)
+        if (motors := search.motors(assignment)) is not None:
             signals["motor_position"] = self._joint_signal(motors, "motor_position", part)
         if servo is None:
-            own |= self._commands(found, search, model, signals, part, "torque_constant" in own)
-        return part, own, signals
+            keys |= self._commands(assignment, search, model, signals, part, "torque_constant" in keys)
+        return part, keys, signals
 
     def _assignment(self, search: JointSearch, robot: str) -> Assignment:
         """The likeliest assignment of streams to the roles of the joints."""
         facts = search.model.facts
-        self._check_motion([place for place in search.position_readings if place.by_name > 0.0], facts)
+        self._check_motion([position for position in search.position_readings if position.by_name > 0.0], facts)
         motions = self._motions(search)
         if not motions:
             raise self._nothing(search.streams, robot, facts.joint_count)
-        found = search.best(motions)
-        self._check_motion([found.position], facts)
-        return found
+        assignment = search.best(motions)
+        self._check_motion([assignment.position], facts)
+        return assignment
 
     def _motions(self, search: JointSearch) -> list[Assignment]:
-        """Positions with their velocities, or alone where nothing is called a velocity."""
+        """Positions with their velocities; positions alone if no stream has the name of a velocity."""
         motions = search.motions()
         if not motions and self._rate is not None:
             self._check_rate(self._rate, search)
@@ -166,189 +172,202 @@ class JointSections:
             return search.without_velocity()
         return motions
 
-    def _is_measured(self, found: Assignment, model: RobotModel) -> bool:
-        """Whether a torque goes with the motion, by more than its name, and is no target of a controller."""
-        if not found.torques:
+    def _is_measured(self, assignment: Assignment, model: RobotModel) -> bool:
+        """Whether a torque fits the motion, by more than its name, and is no target of a controller."""
+        if not assignment.torques:
             return False
-        best = found.torques[0]
+        best = assignment.torques[0]
         if best.meaning == "whole" and best.best.log_likelihood == 0.0:
             return False
-        return meaning_of(self._seen(best, found, model), best.meaning, best.computed).best != "target"
+        return meaning_of(self._with_motion(best, assignment, model), best.meaning, best.computed).best != "target"
 
-    def _seen(self, one: Reading, found: Assignment, model: RobotModel) -> MotionTorque:
+    def _with_motion(self, reading: Reading, assignment: Assignment, model: RobotModel) -> MotionTorque:
         """A torque in N m, also of currents, and its motion."""
-        constant = np.array(one.best.further.get("torque_constant", 1.0))
-        torque = one.stream.series.at(found.time) * one.factor * constant
-        return found.with_torque(torque, model)
+        constant = np.array(reading.best.further.get("torque_constant", 1.0))
+        torque = reading.stream.series.at(assignment.time) * reading.factor * constant
+        return assignment.with_torque(torque, model)
 
-    def _moved_by(self, servo: FoundServo, search: JointSearch) -> Assignment:
-        """The motion of servos, with its only reading."""
-        one = servo.motion
-        listed = {"position": alternatives([(one.position, one.log_posterior)])}
-        if one.velocity is not None:
-            listed["velocity"] = alternatives([(one.velocity, one.velocity.by_name)])
-        self._check_motion([one.position], search.model.facts)
-        return replace(one, alternatives=listed)
+    def _moved_by(self, servo: ServoHypothesis, search: JointSearch) -> Assignment:
+        """The motion that servos drive; the chosen reading is its only alternative."""
+        motion = servo.motion
+        listed = {"position": alternatives([(motion.position, motion.log_posterior)])}
+        if motion.velocity is not None:
+            listed["velocity"] = alternatives([(motion.velocity, motion.velocity.by_name)])
+        self._check_motion([motion.position], search.model.facts)
+        return replace(motion, alternatives=listed)
 
     def _servo(
-        self, servo: FoundServo, search: JointSearch, signals: dict[str, dict[str, Any]], part: RecordedFile
+        self, servo: ServoHypothesis, search: JointSearch, signals: dict[str, dict[str, Any]], part: RecordedFile
     ) -> dict[str, Any]:
         """Add the desired positions of servos to the signals; further keys of the mapping."""
         target = Reading.of(servo.stream, "position", servo.unit, servo.evidence, servo.margin)
         signals["q_desired"] = self._joint_signal(target, "q_desired", part)
-        self._notes.add("torque_measured_at", "motor", "no torque was recorded: servos give that of their motors")
+        self._notes.add("torque_measured_at", "motor", "no torque was recorded: servos give the torque of their motors")
         if servo.margin < 0.0:
             self._notes.remarks.append(DECLARED.format(label=servo.stream.label, odds=servo.margin))
-        own: dict[str, Any] = {"kp": [float(f"{one:.4g}") for one in servo.kp]}
+        servo_keys: dict[str, Any] = {"kp": [float(f"{gain:.4g}") for gain in servo.kp]}
         if servo.kd is not None:
-            own["kd"] = [float(f"{one:.4g}") for one in servo.kd]
-            own["damps"] = servo.damps
-        own["gains"] = "given" if servo.known else "estimated"
+            servo_keys["kd"] = [float(f"{gain:.4g}") for gain in servo.kd]
+            servo_keys["damps"] = servo.damps
+        servo_keys["gains"] = "given" if servo.has_recorded_gains else "estimated"
         for pattern in (PROPORTIONAL, DERIVATIVE):
             if (changing := gains_in(search.streams, pattern)[1]) is not None:
                 self._notes.remarks.append(changing)
-        if servo.known:
+        if servo.has_recorded_gains:
             text = "kp is a column of the recording" if servo.kd is None else "kp and kd are columns of the recording"
             text += "" if servo.kd is None else f"; the torque is nearer to the motion's if kd damps the {servo.damps}"
         else:
-            listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(servo.shown))
-            text = f"kp by gravity and inertia of the model in joints {listed}; prefer those of your controller"
+            listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(servo.informative))
+            text = f"kp by gravity and inertia of the model in joints {listed}; prefer the gains of your controller"
             self._notes.remarks.append(
-                "no gains were recorded: kp was found with the masses of the model, so this log cannot hold masses or "
-                "gains apart, and kd is a part of the viscous friction. Write kp and kd of your controller into servo "
-                "and gains: given, if you know them"
+                "no gains were recorded: kp was found with the masses of the model, so this log cannot tell masses from "
+                "gains, and kd is a part of the viscous friction. Write kp and kd of your controller into servo, with "
+                "gains: given, if you know them"
             )
-        self._notes.add("servo", flow(own), text, sure=servo.known)
-        held = "with" if servo.meaning == "whole" else "without"
-        text = f"the error of the servos makes the torque of the motion {held} gravity (log odds {servo.margin:.3g})"
+        self._notes.add("servo", flow(servo_keys), text, sure=servo.has_recorded_gains)
+        gravity = "with gravity" if servo.meaning == "whole" else "without gravity"
+        text = f"the error of the servos makes the torque of the motion {gravity} (log odds {servo.margin:.3g})"
         self._notes.add("torque_meaning", servo.meaning, text, servo.sure)
-        return {"torque_measured_at": "motor", "torque_meaning": servo.meaning, "servo": own}
+        return {"torque_measured_at": "motor", "torque_meaning": servo.meaning, "servo": servo_keys}
 
-    def _check_torques(self, found: Assignment, search: JointSearch, robot: str) -> None:
+    def _check_torques(self, assignment: Assignment, search: JointSearch, robot: str) -> None:
         """Refuse a recording without a torque that a mapping could take."""
-        path = self._part_of(found.position.stream).path
-        if not found.torques:
-            others = [f"{label} {why}" for label, why in found.no_torques.items()]
-            not_these = f" ({'; '.join(others)})" if others else ""
-            seen = "; ".join(stream.label for stream in search.streams)
+        if not assignment.torques:
+            reasons = "; ".join(f"{label} {reason}" for label, reason in assignment.no_torques.items())
+            no_torques = f" ({reasons})" if reasons else ""
+            tried = "; ".join(stream.label for stream in search.streams)
             raise InputError(
                 f"nothing goes with the torque that gravity and inertia of {robot} take in this motion, and a mapping "
                 f"needs torques or currents, or desired positions of servos that make it; signals as wide as its "
-                f"joints: {seen}{not_these}. Another --robot, or a "
+                f"joints: {tried}{no_torques}. Another --robot, or a "
                 "mapping by hand (docs/files.md)",
-                file=path,
+                file=self._part_of(assignment.position.stream).path,
             )
 
-    def _order(self, found: Assignment, search: JointSearch) -> tuple[int, ...] | None:
+    def _order(self, assignment: Assignment, search: JointSearch) -> tuple[int, ...] | None:
         """Order of unnamed columns by the torque of the arm; None: the given order."""
-        one, model = found.position.stream, search.model
-        if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
+        positions, model = assignment.position.stream, search.model
+        if positions.is_cut or positions.candidate.joints or PART_OF_ARM.search(positions.candidate.label):
             return None
-        tried = list(named_servo_torques(search, found)) if not found.torques else []
-        if not found.torques:
-            free = [other for other in search.free_of(found.streams) if other.label not in found.no_torques]
-            tried += [other.series.at(found.time) for other in free[:MAX_SHOWN_SIGNALS]]
-        for torque in found.torques[:MAX_SHOWN_SIGNALS]:
-            constant, raw = torque.best.further.get("torque_constant"), torque.stream.series.at(found.time)
-            if constant is None or not explains_most(found.with_torque(raw * np.array(constant), model)):
-                tried.append(factors_of("torque", torque.best.unit) * raw)  # no currents, but perhaps in a wrong order
-        for one_torque in tried:
-            if (ordered := order_of_joints(found.with_torque(one_torque, model))) is not None:
+        torques = list(named_servo_torques(search, assignment)) if not assignment.torques else []
+        if not assignment.torques:
+            free = [
+                stream for stream in search.free_of(assignment.streams) if stream.label not in assignment.no_torques
+            ]
+            torques += [stream.series.at(assignment.time) for stream in free[:MAX_SHOWN_SIGNALS]]
+        for reading in assignment.torques[:MAX_SHOWN_SIGNALS]:
+            constant, raw = reading.best.further.get("torque_constant"), reading.stream.series.at(assignment.time)
+            if constant is None or not explains_most(assignment.with_torque(raw * np.array(constant), model)):
+                torques.append(factors_of("torque", reading.best.unit) * raw)  # perhaps torques in a wrong order
+        for torque in torques:
+            if (ordered := order_of_joints(assignment.with_torque(torque, model))) is not None:
                 order, self._order_shown = ordered
                 return order
         return None
 
-    def _check_motion(self, places: Sequence[Reading], facts: RobotFacts) -> None:
-        """Refuse an arm at rest, whose noise would be taken for velocity and torque."""
-        found = [at_rest(one.stream.series.time, one.values, facts) for one in places]
-        if found and None not in found:
-            stream = places[0].stream
-            raise InputError(f"{stream.label}: {found[0]}", file=self._part_of(stream).path)
+    def _check_motion(self, position_readings: Sequence[Reading], facts: RobotFacts) -> None:
+        """Refuse an arm at rest: its noise would be taken for velocity and torque."""
+        rests = [at_rest(reading.stream.series.time, reading.values, facts) for reading in position_readings]
+        if rests and None not in rests:
+            stream = position_readings[0].stream
+            raise InputError(f"{stream.label}: {rests[0]}", file=self._part_of(stream).path)
 
-    def _nothing(self, every: Sequence[JointStream], robot: str, count: int) -> InputError:
-        """Error if no signal is the motion of the joints."""
+    def _nothing(self, streams: Sequence[JointStream], robot: str, count: int) -> InputError:
+        """Error: no signal is the motion of the joints."""
         text = f"no signal of {_joints_of(count)} can be read"
-        if every:
+        if streams:
             text = (
                 f"no two signals of {_joints_of(count)} are positions within the limits of {robot} and their "
-                f"derivative; signals as wide as that: {'; '.join(one.label for one in every)}"
+                f"derivative; signals as wide as that: {'; '.join(stream.label for stream in streams)}"
             )
-        others = [
-            one for part in self._parts for one in part.candidates if not one.pose and one.width not in (1, count)
+        other_widths = [
+            candidate
+            for part in self._parts
+            for candidate in part.candidates
+            if not candidate.pose and candidate.width not in (1, count)
         ]
-        if others:
-            listed = ", ".join(one.label for one in others[:MAX_SHOWN_SIGNALS])
+        if other_widths:
+            listed = ", ".join(candidate.label for candidate in other_widths[:MAX_SHOWN_SIGNALS])
             text += f"; signals of other widths: {listed}"
-            text += ", of which a mapping takes joints by entries" * any(one.width > count for one in others)
+            text += ", of which a mapping takes joints by entries" * any(
+                candidate.width > count for candidate in other_widths
+            )
         text += "".join(f"; the reader refuses {why}" for why in self._refusals())
         backwards = [back for part in self._parts if (back := steps_back(part.columns)) is not None]
         text += "".join(f"; {back}, so another clock was taken" for back in backwards)
-        remedy = "Another --robot, or a mapping by hand" if every else "A mapping by hand"
+        remedy = "Another --robot, or a mapping by hand" if streams else "A mapping by hand"
         return InputError(f"{text}. {remedy} (docs/files.md)", file=self._parts[0].path)
 
     def _refusals(self) -> list[str]:
         """Signals that the reader refuses, with its reason."""
         by_reason: dict[str, list[str]] = {}
-        for label, why in self._refused.items():
-            by_reason.setdefault(why, []).append(label)
-        return [f"{', '.join(labels[:MAX_SHOWN_SIGNALS])}: {why}" for why, labels in by_reason.items()]
+        for label, reason in self._refused.items():
+            by_reason.setdefault(reason, []).append(label)
+        return [f"{', '.join(labels[:MAX_SHOWN_SIGNALS])}: {reason}" for reason, labels in by_reason.items()]
 
     def _check_rate(self, rate: float, search: JointSearch) -> None:
         """Refuse ``--rate`` if a signal is a constant multiple of dq/dt at that rate; name the fitting rate."""
-        for place, other, factor in search.velocities_at_other_rates():
-            real = rate * factor
+        for position, velocity, factor in search.velocities_at_other_rates():
+            true_rate = rate * factor
             raise InputError(
-                f"{other.label} is {factor:.3g} times the derivative of {place.label} in all joints, which is a "
-                f"velocity in rad/s at {real:.4g} Hz, in deg/s at {real * np.pi / 180.0:.4g} Hz",
+                f"{velocity.label} is {factor:.3g} times the derivative of {position.label} in all joints, which is a "
+                f"velocity in rad/s at {true_rate:.4g} Hz, in deg/s at {true_rate * np.pi / 180.0:.4g} Hz",
                 key="--rate",
                 value=f"{rate:g}",
             )
 
     def _torque(
-        self, found: Assignment, model: RobotModel, robot: str, signals: dict[str, dict[str, Any]], part: RecordedFile
+        self,
+        assignment: Assignment,
+        model: RobotModel,
+        robot: str,
+        signals: dict[str, dict[str, Any]],
+        part: RecordedFile,
     ) -> dict[str, Any]:
         """Add the torque of the joints to the signals; further keys of the mapping."""
-        best, *others = found.torques
-        facts, listed = model.facts, found.alternatives["torque"]
-        free = [other for other in others if not (part.is_bag and other.stream.candidate.guess == "command")]
+        best, *further = assignment.torques
+        facts, listed = model.facts, assignment.alternatives["torque"]
+        rivals = [reading for reading in further if not (part.is_bag and reading.stream.candidate.guess == "command")]
         computed = (
             "follows the model of the arm without any friction of its gears: a controller or a simulation computed it"
         )
         self._notes.remarks += [
-            f"{other.stream.label} is left out: it {computed}" for other in free if other.computed and not best.computed
+            f"{reading.stream.label} is left out: it {computed}"
+            for reading in rivals
+            if reading.computed and not best.computed
         ]
         if best.computed:
             self._notes.remarks.append(f"{best.stream.label} {computed}, so {NOTHING_SHOWS}. {MEASURED_TORQUE}")
-        alike = "; ".join(other.stream.label for other in free if other.computed == best.computed)
+        alike = "; ".join(reading.stream.label for reading in rivals if reading.computed == best.computed)
         constant = best.best.further.get("torque_constant")
         signals["torque"] = self._joint_signal(best, "torque", part, listed, alike)
-        seen = self._seen(best, found, model)
+        motion = self._with_motion(best, assignment, model)
         at_motor = constant is not None or not facts.joint_torque_loop
         text = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
         text += "" if constant is not None else str(facts.joint_torque_loop).lower()
-        text += self._motors_in(seen, best.meaning, at_motor)
+        text += self._motors_in(motion, best.meaning, at_motor)
         self._notes.add("torque_measured_at", "motor" if at_motor else "link", text, sure=constant is not None)
-        meaning = meaning_of(seen, best.meaning, best.computed and constant is None)
+        meaning = meaning_of(motion, best.meaning, best.computed and constant is None)
         self._notes.add("torque_meaning", meaning.best, meaning.evidence, meaning.sure)
         if meaning.best in ADDED_BY_THE_MODEL:
             self._notes.remarks.append(f"{best.stream.label} {best.best.evidence}. {ADDED_BY_THE_MODEL[meaning.best]}")
-        own: dict[str, Any] = {
+        keys: dict[str, Any] = {
             "torque_measured_at": "motor" if at_motor else "link", "torque_meaning": meaning.best
         }  # fmt: skip
         if constant is not None:
             self._notes.add(
                 "torque_constant", flow(constant), "by the gravity torque in this recording; prefer a data sheet", False
             )
-            own["torque_constant"] = constant
-        return own
+            keys["torque_constant"] = constant
+        return keys
 
-    def _motors_in(self, seen: MotionTorque, meaning: TorqueMeaning, at_motor: bool) -> str:
-        """Whether a torque accelerates the motors as well, in words; a warning if that contradicts its place."""
-        gain, inertia = motor_inertia_in(seen, meaning)
-        shown = inertia[inertia > 0.0]
-        if gain < DECISIVE_LOG_LIKELIHOOD or not shown.size:
+    def _motors_in(self, motion: MotionTorque, meaning: TorqueMeaning, at_motor: bool) -> str:
+        """Whether a torque accelerates the motors as well, in words; a warning if it was measured behind the gears."""
+        gain, inertia = motor_inertia_in(motion, meaning)
+        motor_inertia = inertia[inertia > 0.0]
+        if gain < DECISIVE_LOG_LIKELIHOOD or not motor_inertia.size:
             return f"; no inertia of motors shows in it (log likelihood {gain:+.0f})"
-        size = f"{range_in_words(shown)} kg m^2"
+        size = f"{range_in_words(motor_inertia)} kg m^2"
         if not at_motor:
             self._notes.remarks.append(
                 f"the torque accelerates {size} more than the links (log likelihood {gain:+.0f}): measured before the "
@@ -357,90 +376,100 @@ class JointSections:
         return f"; it accelerates {size} in addition to the links (log likelihood {gain:+.0f})"
 
     def _commands(
-        self, found: Assignment, search: JointSearch, model: RobotModel, signals: dict[str, dict[str, Any]],
+        self, assignment: Assignment, search: JointSearch, model: RobotModel, signals: dict[str, dict[str, Any]],
         part: RecordedFile, currents: bool,
     ) -> dict[str, Any]:  # fmt: skip
         """Add the commanded torque of a bag to the signals; further keys of the mapping."""
-        free = search.free_of([*found.streams, found.torques[0].stream])
-        asked = [one for one in free if one.candidate.guess == "command" and self._part_of(one).is_bag]
-        copied = [one for one in asked if one.label in found.no_torques]
-        self._notes.remarks += [f"{one.label} is left out: it {found.no_torques[one.label]}" for one in copied]
-        commands = [one for one in asked if one not in copied]
+        free = search.free_of([*assignment.streams, assignment.torques[0].stream])
+        commanded = [stream for stream in free if stream.candidate.guess == "command" and self._part_of(stream).is_bag]
+        copied = [stream for stream in commanded if stream.label in assignment.no_torques]
+        self._notes.remarks += [
+            f"{stream.label} is left out: it {assignment.no_torques[stream.label]}" for stream in copied
+        ]
+        commands = [stream for stream in commanded if stream not in copied]
         if commands and currents:
-            why = "nothing but currents was measured beside it"
-            self._notes.remarks += [f"{one.label} is left out: {why}" for one in commands]
+            reason = "only currents were measured, no torque"
+            self._notes.remarks += [f"{stream.label} is left out: {reason}" for stream in commands]
             return {}
-        return self._command(found, commands, model, signals, part) if commands else {}
+        return self._command(assignment, commands, model, signals, part) if commands else {}
 
     def _command(
-        self, found: Assignment, asked: Sequence[JointStream], model: RobotModel,
+        self, assignment: Assignment, commanded: Sequence[JointStream], model: RobotModel,
         signals: dict[str, dict[str, Any]], part: RecordedFile,
     ) -> dict[str, Any]:  # fmt: skip
-        """Add the commanded torque closest (rms) to the measured one, with or without gravity, to the signals."""
-        time, q = found.time, found.position.values
-        series = found.torques[0].stream.series
-        torque = replace(series, values=found.torques[0].values).at(time)
+        """Add the commanded torque closest (rms) to the measured torque, with or without gravity, to the signals."""
+        time, q = assignment.time, assignment.position.values
+        series = assignment.torques[0].stream.series
+        torque = replace(series, values=assignment.torques[0].values).at(time)
         gravity = np.array([model.gravity_torque(row) for row in q])
         size = max(float(np.sqrt(np.mean(np.square(torque)))), 1e-12)
 
-        def apart(one: JointStream, missing: Array | float) -> float:
+        def distance(stream: JointStream, gravity_torque: Array | float) -> float:
             """Difference to the measured torque over that torque, rms."""
-            return float(np.sqrt(np.mean(np.square(one.series.at(time) + missing - torque)))) / size
+            return float(np.sqrt(np.mean(np.square(stream.series.at(time) + gravity_torque - torque)))) / size
 
-        tried = [(apart(one, 0.0), apart(one, gravity), one) for one in asked]
-        taken = min(tried, key=lambda one: min(one[:2]))
-        for alone, lifted, one in tried:
-            if one is not taken[2] or min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
-                far = f"{100.0 * min(alone, lifted):.0f} % of the measured torque away from it"
-                self._notes.remarks.append(f"{one.label} is left out: by its name it was commanded, and it is {far}")
-        alone, lifted, one = taken
-        if min(alone, lifted) > MAX_COMMAND_RMS_RATIO:
+        distances = [((distance(stream, 0.0), distance(stream, gravity)), stream) for stream in commanded]
+        (as_recorded, with_gravity), nearest = min(distances, key=lambda entry: min(entry[0]))
+        for pair, stream in distances:
+            if stream is not nearest or min(pair) > MAX_COMMAND_RMS_RATIO:
+                far = f"{100.0 * min(pair):.0f} % of the measured torque away from it"
+                self._notes.remarks.append(f"{stream.label} is left out: by its name it was commanded, and it is {far}")
+        smaller, larger = sorted((as_recorded, with_gravity))
+        if smaller > MAX_COMMAND_RMS_RATIO:
             return {}
-        included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
-        text = f"{both}, {100.0 * lifted:.0f} % with the gravity torque added (rms)"
-        signals["command"] = self._joint_signal(Reading.of(one, "torque", "N m", text, np.inf), "command", part)
-        sure = max(alone, lifted) > MIN_GRAVITY_RMS_RATIO * min(alone, lifted)
+        included = as_recorded <= with_gravity
+        text = (
+            f"{100.0 * as_recorded:.0f} % of the measured torque away from it as it is, {100.0 * with_gravity:.0f} % "
+            "with the gravity torque added (rms)"
+        )
+        signals["command"] = self._joint_signal(Reading.of(nearest, "torque", "N m", text, np.inf), "command", part)
+        sure = larger > MIN_GRAVITY_RMS_RATIO * smaller
         text = f"it is nearer to the measured torque {'as it is' if included else 'with the gravity torque added'}"
         self._notes.add("command_includes_gravity", str(included).lower(), text, sure)
         return {"command_includes_gravity": included}
 
     def _joint_signal(
-        self, one: Reading, name: str, main: RecordedFile, others: Sequence[PossibleReading] = (), alike: str = ""
+        self,
+        reading: Reading,
+        name: str,
+        main: RecordedFile,
+        possible: Sequence[PossibleReading] = (),
+        equals: str = "",
     ) -> dict[str, Any]:
         """Section of a signal of the joints, added to the notes, with the layout of its file if it is not the main one.
 
         Args:
-            one: The stream with its unit.
+            reading: The stream with its unit.
             name: The signal.
             main: File of the positions.
-            others: Possible readings of the signal, the chosen one first.
-            alike: Streams that fit the role equally well, also by name.
+            possible: Possible readings of the signal, the chosen reading first.
+            equals: Streams that fit the role equally well, also by name.
         """
-        part, candidate, best = self._part_of(one.stream), one.stream.candidate, one.best
-        shown = "by its numbers; see unit"
-        if one.stream.is_cut:
-            shown += "; what stands beside the joints is left out, as a gripper"
+        part, candidate, best = self._part_of(reading.stream), reading.stream.candidate, reading.best
+        evidence = "by its numbers; see unit"
+        if reading.stream.is_cut:
+            evidence += "; the other numbers, as of a gripper, are left out"
             self._notes.remarks.append(f"signals.{name}: of {candidate.label} numbers are taken for the joints")
-        rival = next((other for other in others if other.stream != one.stream.label), None)
+        rival = next((alternative for alternative in possible if alternative.stream != reading.stream.label), None)
         margin = np.inf if rival is None else rival.behind
         if rival is not None and margin < DECISIVE_LOG_ODDS:
-            shown += f"; next: {rival.stream}, log odds {margin:.2g}"
-        shown += "" if candidate.stamped else f"; {NO_HEADER}"
+            evidence += f"; next: {rival.stream}, log odds {margin:.2g}"
+        evidence += "" if candidate.stamped else f"; {NO_HEADER}"
         self._notes.add(
-            f"signals.{name}", candidate.label, shown, not one.stream.is_cut and bool(margin > DECISIVE_LOG_ODDS)
+            f"signals.{name}", candidate.label, evidence, not reading.stream.is_cut and bool(margin > DECISIVE_LOG_ODDS)
         )
-        text = one.choice.evidence + (f"; so do {alike}: take the one that was measured" if alike else "")
-        sure = one.choice.sure and not alike and not one.computed and best.role != "current"
+        text = reading.choice.evidence + (f"; so do {equals}: take the one that was measured" if equals else "")
+        sure = reading.choice.sure and not equals and not reading.computed and best.role != "current"
         self._notes.add(f"signals.{name}.unit", flow(best.unit), text, sure)
         self._notes.remarks += best.remarks
-        self.readings[name] = tuple(others)
+        self.readings[name] = tuple(possible)
         further = {key: value for key, value in best.further.items() if key == "factor"}
         source = {**source_in(part, candidate.source, self._groups), "unit": best.unit, **further}
         return source | part.own_layout(main)
 
-    def _joints(self, one: SignalCandidate, count: int) -> tuple[str, ...]:
-        joints = joints_of(one.joints, "", False, count)
-        if one.joints:
+    def _joints(self, candidate: SignalCandidate, count: int) -> tuple[str, ...]:
+        joints = joints_of(candidate.joints, "", False, count)
+        if candidate.joints:
             self._notes.add("joints", flow(list(joints)), "the recording names them")
         else:
             self._notes.add("joints", flow(list(joints)), self._order_shown, sure=False)
@@ -451,41 +480,45 @@ class JointSections:
         return next(part for part in self._parts if part.pattern == stream.file)
 
 
-def _check_width(found: Assignment, part: RecordedFile, robot: str, count: int) -> None:
-    """Refuse a few joints of a wider arm: unnamed columns, if other columns are positions and derivatives as well."""
-    series = found.position.stream.series
-    free = [name for name, cells in part.columns.items() if np.ndim(cells) == 1 and vector_width(cells) == 1]
-    free = [name for name in free if name not in part.clock_columns]
-    if found.velocity is None or not free or series.time.size != len(part.columns[free[0]]):
+def _check_width(assignment: Assignment, part: RecordedFile, robot: str, count: int) -> None:
+    """Refuse a few joints of a wider arm: unnamed columns with neighbours that are positions and derivatives."""
+    series = assignment.position.stream.series
+    names = [name for name, cells in part.columns.items() if np.ndim(cells) == 1 and vector_width(cells) == 1]
+    names = [name for name in names if name not in part.clock_columns]
+    if assignment.velocity is None or not names or series.time.size != len(part.columns[names[0]]):
         return
-    first, other = (_first_of(free, one.stream.candidate) for one in (found.position, found.velocity))
-    if first is None or other is None or found.velocity.stream.file != part.pattern:
-        return
-    apart = other - first
-    own, within = range(first, first + count), range(max(0, -apart), len(free) - max(0, apart))
-    around = [n for n in range(first - abs(apart) + 1, first + abs(apart)) if n in within and n not in own]
-    if not around:
-        return
-    values, raw = (
-        np.column_stack([np.asarray(part.columns[free[n + shift]], dtype=float) for n in around])
-        for shift in (0, apart)
+    first_position, first_velocity = (
+        _first_of(names, reading.stream.candidate) for reading in (assignment.position, assignment.velocity)
     )
-    shown = are_derivatives(series.time, values, raw)
-    block = [*own, *(n for n, derivative in zip(around, shown, strict=True) if derivative)]
+    if first_position is None or first_velocity is None or assignment.velocity.stream.file != part.pattern:
+        return
+    offset = first_velocity - first_position  # from a position to its velocity, in columns
+    joints = range(first_position, first_position + count)
+    paired = range(max(0, -offset), len(names) - max(0, offset))  # columns with another one at that offset
+    near = range(first_position - abs(offset) + 1, first_position + abs(offset))
+    neighbours = [n for n in near if n in paired and n not in joints]
+    if not neighbours:
+        return
+    positions, rates = (
+        np.column_stack([np.asarray(part.columns[names[n + shift]], dtype=float) for n in neighbours])
+        for shift in (0, offset)
+    )
+    derivatives = are_derivatives(series.time, positions, rates)
+    block = [*joints, *(n for n, derivative in zip(neighbours, derivatives, strict=True) if derivative)]
     if len(block) > count + MAX_GRIPPER_NUMBERS:
-        blocks = " and ".join(f"{free[min(block) + shift]} … {free[max(block) + shift]}" for shift in (0, apart))
+        blocks = " and ".join(f"{names[min(block) + shift]} … {names[max(block) + shift]}" for shift in (0, offset))
         raise InputError(
             f"columns {blocks} hold positions and velocities of {len(block)} joints, and {robot} has {count}: another "
-            "--robot, or a mapping by hand that says which columns are its own (docs/files.md)",
+            "--robot, or a mapping by hand with the columns of this robot (docs/files.md)",
             file=part.path,
         )
 
 
 def _first_of(names: Sequence[str], candidate: SignalCandidate) -> int | None:
-    """Index of the first of a signal's columns if they are adjacent; None: not adjacent."""
-    own = candidate.source.get("columns") or []
-    first = names.index(own[0]) if own and own[0] in names else None
-    return first if first is not None and list(names[first : first + len(own)]) == list(own) else None
+    """Index of the first column of a signal if its columns are adjacent; None: not adjacent."""
+    columns = candidate.source.get("columns") or []
+    first = names.index(columns[0]) if columns and columns[0] in names else None
+    return first if first is not None and list(names[first : first + len(columns)]) == list(columns) else None
 
 
 def _joints_of(count: int) -> str:

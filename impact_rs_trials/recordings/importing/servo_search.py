@@ -6,12 +6,13 @@ A proportional servo turns its error e = q_d - q into the torque of the motion:
     e = (M ddq + h) / K_p + F + D dq + B ddq + c     F: dry friction; D: damping of servo and gear; B: motor inertia
 
 with K_p > 0, anywhere within a factor of 1e4, and joints that follow targets within their limits. The log likelihood
-ratio to the same fit without M ddq + h has samples and priors as in :mod:`hypotheses`; with the gravity torque
-left out it shows a controller that adds it. Without recorded gains K_p follows from
+ratio to the same fit without M ddq + h has samples and priors as in :mod:`hypotheses`. The same without the gravity
+torque shows a controller that adds gravity. Without recorded gains K_p follows from
 
     M ddq + h = K_p e - F - D dq - B ddq - c
 
-in the joints that carry gravity; the others get the geometric mean, as motor inertia takes the place of their torque.
+in the joints under gravity load. The other joints get the geometric mean, because motor inertia and inertia of the
+links have similar torques.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ MIN_SERVO_SAMPLES = 5.0  # independent ones; fewer show no relation
 
 
 @dataclass(frozen=True)
-class FoundServo:
-    """Desired positions of the servos that drive a motion.
+class ServoHypothesis:
+    """A stream as the desired positions of the servos that drive a motion.
 
     Attributes:
         motion: Positions and velocities.
@@ -63,11 +64,11 @@ class FoundServo:
         unit: Their unit.
         kp: Gains by recorded columns or by the gravity torque, ``(n,)`` [N m/rad].
         kd: Recorded gains of the velocity, ``(n,)`` [N m s/rad]; None: unknown.
-        damps: Velocity that kd damps: that of the joint or of the position error.
-        known: Whether kp was recorded.
-        shown: Joints from whose gravity kp was found, ``(n,)``; all if it was recorded.
+        damps: Whether kd damps the velocity of the joint or of the position error.
+        has_recorded_gains: Whether kp was recorded.
+        informative: Joints whose gravity torque shows kp, ``(n,)``; all if it was recorded.
         meaning: Whether the servos carry gravity.
-        log_odds: Log posterior odds of this role against none.
+        log_odds: Log posterior odds of this role against no role.
         margin: Log odds against the next stream, unit or meaning.
         evidence: Evidence in words.
     """
@@ -78,8 +79,8 @@ class FoundServo:
     kp: Array
     kd: Array | None
     damps: Damps
-    known: bool
-    shown: NDArray[np.bool_]
+    has_recorded_gains: bool
+    informative: NDArray[np.bool_]
     meaning: TorqueMeaning
     log_odds: float
     margin: float
@@ -87,25 +88,25 @@ class FoundServo:
 
     @property
     def log_posterior(self) -> float:
-        """Log posterior of the motion, of a pair that is left over, and of the servos that drive it."""
+        """Log posterior of the motion, of its second pair of streams, and of the servos that drive it."""
         return self.motion.motion_log_posterior + self.motion.further_log_likelihood + self.log_odds
 
     @property
     def reading(self) -> tuple[str, str]:
-        """Unit, and whether gravity is carried."""
+        """Unit, and whether the servos carry gravity."""
         return str(self.unit), self.meaning
 
     @property
     def declared(self) -> bool:
-        """Whether the format of the file says which are positions and desired positions, and both have one unit."""
+        """Whether the file format names positions and desired positions, and both have the same unit."""
         position = self.motion.position
         named = self.stream.candidate.guess == Q_DESIRED and position.stream.candidate.guess == "position"
         return named and self.unit == position.best.unit
 
-    def same_columns(self, other: FoundServo) -> bool:
+    def same_columns(self, other: ServoHypothesis) -> bool:
         """Whether positions and desired positions are the same numbers."""
         pairs = (self.stream, other.stream), (self.motion.position.stream, other.motion.position.stream)
-        return all(np.array_equal(one.series.values, two.series.values) for one, two in pairs)
+        return all(np.array_equal(first.series.values, second.series.values) for first, second in pairs)
 
     @property
     def sure(self) -> bool:
@@ -114,7 +115,7 @@ class FoundServo:
 
 
 def gains_in(streams: Sequence[JointStream], pattern: re.Pattern[str]) -> tuple[Array | None, str | None]:
-    """Constant gains in a stream with such a name, ``(n,)``, and a warning about one that changes."""
+    """Constant gains in a stream with a matching name, ``(n,)``, and a warning about gains that change."""
     for stream in streams:
         if not pattern.search(stream.column_text) or stream.is_cut:
             continue
@@ -129,29 +130,29 @@ def gains_in(streams: Sequence[JointStream], pattern: re.Pattern[str]) -> tuple[
     return None, None
 
 
-def named_servo_torques(search: JointSearch, found: Assignment) -> Iterator[Array]:
-    """Torque that recorded gains make of every stream that is called a target, in the order of the columns [N m].
+def named_servo_torques(search: JointSearch, assignment: Assignment) -> Iterator[Array]:
+    """Torque of the recorded gains with every stream that has the name of a target, in the order of the columns [N m].
 
-    It shows the order of joints without names, as a recorded torque does, where no law is known to hold yet.
+    It shows the order of unnamed joints, as a recorded torque does, before a law of the servos was found.
 
     Args:
         search: Streams and arm.
-        found: Positions in the unit of the targets, and velocities.
+        assignment: Positions in the unit of the targets, and velocities.
     """
     kp, kd = (gains_in(search.streams, pattern)[0] for pattern in (PROPORTIONAL, DERIVATIVE))
     if kp is None or np.any(kp <= 0.0):
         return
-    damping = 0.0 if kd is None else kd * found.speeds
+    damping = 0.0 if kd is None else kd * assignment.speeds
     for stream in search.streams:
-        if COMMANDED.search(stream.candidate.label) and not stream.stands_apart(found.position.stream):
-            target = found.position.factor * stream.series.at(found.time)
-            yield np.asarray(kp * (target - found.position.values) - damping)
+        if COMMANDED.search(stream.candidate.label) and not stream.stands_apart(assignment.position.stream):
+            target = assignment.position.factor * stream.series.at(assignment.time)
+            yield np.asarray(kp * (target - assignment.position.values) - damping)
 
 
-def find_servo(search: JointSearch, motions: Sequence[Assignment]) -> FoundServo | None:
-    """The likeliest stream of desired positions over all motions; None: none is decisively a servo's.
+def find_servo(search: JointSearch, motions: Sequence[Assignment]) -> ServoHypothesis | None:
+    """The likeliest stream of desired positions over all motions; None: no stream is decisive.
 
-    One that its format declares to be that is taken without evidence, with a margin below 0.
+    Desired positions that the file format declares need no evidence; their margin is then small or below 0.
 
     Args:
         search: Streams and arm.
@@ -159,106 +160,108 @@ def find_servo(search: JointSearch, motions: Sequence[Assignment]) -> FoundServo
     """
     kp, kd = (gains_in(search.streams, pattern)[0] for pattern in (PROPORTIONAL, DERIVATIVE))
     kp = None if kp is None or np.any(kp <= 0.0) else kp
-    found = [one for motion in with_commands(motions) for one in _servos_of(search, motion, kp, kd)]
-    found.sort(key=lambda one: one.log_posterior, reverse=True)
-    if not found:
+    servos = [servo for motion in with_commands(motions) for servo in _servos_of(search, motion, kp, kd)]
+    servos.sort(key=lambda servo: servo.log_posterior, reverse=True)
+    if not servos:
         return None
-    best = found[0]
+    best = servos[0]
     if best.log_odds < DECISIVE_LOG_ODDS:
-        declared = [one for one in found if one.declared]
+        declared = [servo for servo in servos if servo.declared]
         if not declared:
             return None
         best = declared[0]
         return replace(best, margin=best.log_odds)
     # Columns that were grouped in several ways are one stream.
-    others = [one for one in found[1:] if not (one.same_columns(best) and one.reading == best.reading)]
-    following = max((one.log_posterior for one in others), default=-np.inf)
-    return replace(best, margin=min(best.log_posterior - following, best.log_odds))
+    rivals = [servo for servo in servos[1:] if not (servo.same_columns(best) and servo.reading == best.reading)]
+    next_log_posterior = max((servo.log_posterior for servo in rivals), default=-np.inf)
+    return replace(best, margin=min(best.log_posterior - next_log_posterior, best.log_odds))
 
 
 @OUTLIERS
-def _servos_of(search: JointSearch, found: Assignment, kp: Array | None, kd: Array | None) -> Iterator[FoundServo]:
+def _servos_of(
+    search: JointSearch, assignment: Assignment, kp: Array | None, kd: Array | None
+) -> Iterator[ServoHypothesis]:
     """Servos that may drive one motion."""
-    motion = found.motion(search.model)
-    needed: dict[TorqueMeaning, Array] = {
+    motion = assignment.motion(search.model)
+    torques: dict[TorqueMeaning, Array] = {
         "whole": motion.rigid_torque,
         "without_gravity": motion.rigid_torque - motion.gravity_torque,
     }
     weight = driven_joints(motion.gravity_torque - motion.gravity_torque.mean(axis=0), search.model)
-    for stream in search.free_of(found.streams):
+    for stream in search.free_of(assignment.streams):
         if not np.ptp(stream.series.values, axis=0).all():
             continue
-        y = motion.sampled(stream.series.at(found.time))
+        y = motion.sampled(stream.series.at(assignment.time))
         named = NAME_LOG_ODDS if COMMANDED.search(f"{stream.file} {stream.column_text}") else 0.0
         named -= NAME_LOG_ODDS if stream.candidate.guess in ("velocity", "acceleration", "torque") else 0.0
         for unit, slide in UNITS_OF_TARGETS.items():
             error = factors_of("position", motion.unit(unit, slide)) * y - motion.position
             if not _follows(motion, error):
                 continue
-            for meaning, torque in needed.items():
+            for meaning, torque in torques.items():
                 if meaning == "without_gravity" and not np.any(weight):
                     continue
                 ratio = _log_likelihood_ratio(motion, error, torque, search)
-                yield _servo(found, stream, unit, motion, error, (meaning, torque), (kp, kd), ratio + named)
+                yield _servo(assignment, stream, unit, motion, error, (meaning, torque), (kp, kd), ratio + named)
 
 
 def _follows(motion: JointMotion, error: Array) -> bool:
     """Whether the joints follow their targets ``q + error``, which lie within their limits."""
     low, high = (np.array(getattr(motion.facts.limits, f"position_{end}_rad")) for end in ("min", "max"))
-    beyond = MAX_TARGET_EXCESS_SHARE * (high - low)
+    excess = MAX_TARGET_EXCESS_SHARE * (high - low)
     target = motion.position + error
-    inside = np.mean((target >= low - beyond) & (target <= high + beyond), axis=0)
+    inside = np.mean((target >= low - excess) & (target <= high + excess), axis=0)
     moving = travels(motion.position, MAIN_TRAVEL_SHARE)
-    apart = np.std(error[:, moving], axis=0) / np.std(motion.position[:, moving], axis=0)
-    return bool(np.all(inside > 1.0 - MAX_OUTSIDE_SHARE) and np.median(apart) < 1.0)
+    relative_error = np.std(error[:, moving], axis=0) / np.std(motion.position[:, moving], axis=0)
+    return bool(np.all(inside > 1.0 - MAX_OUTSIDE_SHARE) and np.median(relative_error) < 1.0)
 
 
 def _log_likelihood_ratio(motion: JointMotion, error: Array, torque: Array, search: JointSearch) -> float:
-    """Log likelihood ratio of an error that makes the torque to one that does not, with the prior of the gains."""
-    shown = driven_joints(torque - torque.mean(axis=0), search.model)
-    if not np.any(shown):
+    """Log likelihood ratio of a position error that makes the torque to one without it, with the prior of the gains."""
+    informative = driven_joints(torque - torque.mean(axis=0), search.model)
+    if not np.any(informative):
         return -np.inf
     samples = np.maximum(effective_samples(torque, error), MIN_SERVO_SAMPLES)
     further = dry_friction(motion.velocity), motion.velocity, motion.acceleration, np.ones_like(error)
     relation = fit(torque, error, further, samples)
-    each = relation.log_likelihood_ratio - 0.5 * np.log(relation.independent) - np.log(LOG_GAIN_RANGE)
-    each = np.where((relation.factor > 0.0) & np.isfinite(each), each, -np.inf)
-    return float(np.sum(np.logaddexp(each, np.log(PROBABILITY_OF_BROKEN_ORDER))[shown]))
+    ratios = relation.log_likelihood_ratio - 0.5 * np.log(relation.independent) - np.log(LOG_GAIN_RANGE)
+    ratios = np.where((relation.factor > 0.0) & np.isfinite(ratios), ratios, -np.inf)
+    return float(np.sum(np.logaddexp(ratios, np.log(PROBABILITY_OF_BROKEN_ORDER))[informative]))
 
 
 def _servo(
-    found: Assignment,
+    assignment: Assignment,
     stream: JointStream,
     unit: str,
     motion: JointMotion,
     error: Array,
-    needed: tuple[TorqueMeaning, Array],
+    driving: tuple[TorqueMeaning, Array],
     gains: tuple[Array | None, Array | None],
     log_ratio: float,
-) -> FoundServo:
-    meaning, torque = needed
+) -> ServoHypothesis:
+    meaning, torque = driving
     kp, kd = gains
-    estimate, shown = _estimated_gains(motion, error, torque)
+    estimate, informative = _estimated_gains(motion, error, torque)
     evidence = f"q_desired - q in {unit} drives the motion"
     if meaning == "without_gravity":
         evidence += " without its gravity torque, which the controller adds"
     if kp is None:
         evidence += f", with kp {range_in_words(estimate)} N m/rad by gravity and inertia of the model"
     else:
-        ratio = estimate[shown] / kp[shown]
+        ratio = estimate[informative] / kp[informative]
         evidence += f", with {range_in_words(ratio)} times the recorded gains by gravity and inertia of the model"
     damps: Damps = "velocity"
     if kp is not None and kd is not None:
         damps = _damped(motion, error, torque, kp, kd)
-    return FoundServo(
-        motion=found,
+    return ServoHypothesis(
+        motion=assignment,
         stream=stream,
         unit=motion.unit(unit, UNITS_OF_TARGETS[unit]),
         kp=estimate if kp is None else kp,
         kd=kd if kp is not None else None,
         damps=damps,
-        known=kp is not None,
-        shown=shown if kp is None else np.ones_like(shown),
+        has_recorded_gains=kp is not None,
+        informative=informative if kp is None else np.ones_like(informative),
         meaning=meaning,
         log_odds=log_ratio + float(np.log(PRIOR[unit])),
         margin=0.0,
@@ -267,32 +270,32 @@ def _servo(
 
 
 def _estimated_gains(motion: JointMotion, error: Array, torque: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """K_p of every joint ``(n,)``, and the joints that show their own: those that carry gravity, or else all.
+    """K_p ``(n,)`` [N m/rad], and a mask of the joints that determine it: joints under gravity load, or else all.
 
-    Where no gravity is carried the motor inertia, whose torque resembles the torque of the links, is taken as zero.
+    Without gravity load the motor inertia is taken as 0, because its torque resembles the torque of the links.
     """
     friction = [dry_friction(motion.velocity), motion.velocity, np.ones_like(error)]
     inertia = np.std(motion.rigid_torque - motion.gravity_torque, axis=0)
-    weighs = np.std(motion.gravity_torque, axis=0) > MIN_GRAVITY_SHARE * inertia
-    free = fit(error, torque, [*friction, motion.acceleration])
-    carried = weighs & (free.factor > 0.0) & (torque is motion.rigid_torque)
+    loaded = np.std(motion.gravity_torque, axis=0) > MIN_GRAVITY_SHARE * inertia
+    relation = fit(error, torque, [*friction, motion.acceleration])
+    carried = loaded & (relation.factor > 0.0) & (torque is motion.rigid_torque)
     if not np.any(carried):
-        free = fit(error, torque, friction)
-        carried = free.factor > 0.0
+        relation = fit(error, torque, friction)
+        carried = relation.factor > 0.0
     if not np.any(carried):
         return np.ones(error.shape[1]), np.ones(error.shape[1], dtype=bool)
-    usual = float(np.exp(np.mean(np.log(free.factor[carried]))))
-    return np.where(carried, np.maximum(free.factor, 1e-9), usual), carried
+    typical_gain = float(np.exp(np.mean(np.log(relation.factor[carried]))))
+    return np.where(carried, np.maximum(relation.factor, 1e-9), typical_gain), carried
 
 
 def _damped(motion: JointMotion, error: Array, torque: Array, kp: Array, kd: Array) -> Damps:
-    """Whether kd damps the velocity or the velocity error, by what friction and motor inertia leave of the torque."""
+    """Whether kd damps velocity or velocity error: the smaller residual of the torque, beyond friction and motors."""
     desired_velocity = motion.velocity + np.gradient(error, motion.moments, axis=0)
     further = dry_friction(motion.velocity), motion.velocity, np.ones_like(error)
-    left = {}
+    log_misfit = {}
     damped: Damps
     for damped, target in (("velocity", 0.0), ("error", desired_velocity)):
         driving = kp * error + kd * (target - motion.velocity)
         relation = fit(motion.acceleration, driving - torque, further)
-        left[damped] = float(np.sum(np.log(np.maximum(relation.misfit, 1e-12))))
-    return "error" if left["error"] < left["velocity"] else "velocity"
+        log_misfit[damped] = float(np.sum(np.log(np.maximum(relation.misfit, 1e-12))))
+    return "error" if log_misfit["error"] < log_misfit["velocity"] else "velocity"

@@ -601,7 +601,7 @@ def test_a_folder_with_a_file_per_signal_and_run_is_described(tmp_path: Path, mo
     assert not any("refuses" in remark for remark in draft.remarks)
     (folder / "object_1_hit_11.csv").unlink()
     later = iiwa(folder, tmp_path, "later")
-    assert any(remark == "left out, for a file is missing: 11 (object_1_hit_{run}.csv)" for remark in later.remarks)
+    assert any(remark == "left out, because a file is missing: 11 (object_1_hit_{run}.csv)" for remark in later.remarks)
 
 
 @pytest.mark.parametrize(("late", "evidence"), [(0.05, "starts to move 50"), (-86400.0, "begin -86400 s after")])
@@ -614,7 +614,7 @@ def test_another_clock_of_the_object_is_proposed_with_what_shows_it(
     assert mapping.signals["velocity"].clock == "shared"
     for name in ("object_position", "object_quaternion"):
         said = said_of(draft, f"signals.{name}.clock")
-        assert evidence in said and said.endswith("so in 2 of 2 runs that were looked at")
+        assert evidence in said and said.endswith("so in 2 of 2 compared runs")
 
 
 def test_another_clock_is_seen_in_files_that_name_session_and_object(tmp_path: Path, motion: Columns) -> None:
@@ -624,7 +624,7 @@ def test_another_clock_is_seen_in_files_that_name_session_and_object(tmp_path: P
     assert draft.texts["runs.csv"].splitlines()[1:] == [
         "D1_clean/0,parcel,hit,D1_clean", "D1_clean/1,parcel,hit,D1_clean", "D1_dirty/0,juice,hit,D1_dirty",
     ]  # fmt: skip
-    assert said_of(draft, "signals.object_position.clock").endswith("so in 3 of 3 runs that were looked at")
+    assert said_of(draft, "signals.object_position.clock").endswith("so in 3 of 3 compared runs")
 
 
 def test_one_clock_is_left_as_it_is(tmp_path: Path, motion: Columns) -> None:
@@ -657,8 +657,8 @@ def test_hits_of_sessions_that_count_alike_are_all_kept(tmp_path: Path, motion: 
     (tmp_path / "raw" / "D1_dirty" / "object_1_hit_3.csv").rename(tmp_path / "raw" / "notes.csv")
     later = iiwa(tmp_path / "raw", tmp_path, "later")
     assert later.runs == 3
-    assert "left out, for a file is missing: D1_dirty/3 (object_1_hit_{run}.csv)" in later.remarks
-    assert "not read, for the mapping takes no signal from them: notes.csv" in later.remarks
+    assert "left out, because a file is missing: D1_dirty/3 (object_1_hit_{run}.csv)" in later.remarks
+    assert "not read, because the mapping takes no signal from them: notes.csv" in later.remarks
 
 
 def test_the_object_of_a_run_is_found_in_the_name_of_its_file(tmp_path: Path, motion: Columns) -> None:
@@ -729,7 +729,7 @@ def test_a_word_in_the_name_of_another_file_is_no_object(tmp_path: Path, motion:
         (tmp_path / "raw" / f"{name}.csv").write_text("t,count\n0.0,1\n0.1,2\n0.2,3\n")
     draft = iiwa(tmp_path / "raw", tmp_path, scenario="push_iiwa7")
     assert draft.texts["runs.csv"].splitlines()[1:] == ["0,parcel,hit", "1,parcel,hit"]
-    assert "not read, for the mapping takes no signal from them: force_{object}_{run}.csv" in draft.remarks
+    assert "not read, because the mapping takes no signal from them: force_{object}_{run}.csv" in draft.remarks
 
 
 @pytest.mark.parametrize("pattern", ["{kind}_{run}.csv", "{run}-{kind}.csv"])
