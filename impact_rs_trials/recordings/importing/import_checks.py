@@ -60,14 +60,14 @@ def mapping_warning(path: Path, mapping: Mapping, names: Names, model: RobotMode
     dq, tau = read["velocity"].at(time), read["torque"].at(time) if "torque" in read else np.zeros_like(q)
     if not np.isfinite(np.hstack((dq, tau))).all():
         return None
-    place = choose(positions(q, model.facts), -np.inf)
-    if place is None or _strange(place.best.unit):
-        but = f" but in {place.best.unit}" if place else ""
-        return f"its positions do not lie within the limits of the joints{but}"
+    position = choose(positions(q, model.facts), -np.inf)
+    if position is None or not _is_si(position.best.unit):
+        in_other_unit = f" but in {position.best.unit}" if position else ""
+        return f"its positions do not lie within the limits of the joints{in_other_unit}"
     motion = JointMotion.of(time, q, dq, model)
-    speed = choose(velocities(motion, motion.sampled(dq))) if "velocity" in mapping.signals else None
-    if speed is not None and _contradicts(speed, "velocity"):
-        return f"the velocities are {speed.best.evidence}"
+    velocity = choose(velocities(motion, motion.sampled(dq))) if "velocity" in mapping.signals else None
+    if velocity is not None and _contradicts(velocity, "velocity"):
+        return f"the velocities are {velocity.best.evidence}"
     torque = choose(torques(motion, motion.sampled(tau)))
     if torque is not None and _contradicts(torque, "torque"):
         return f"as described its torques are {torque.best.evidence}"
@@ -77,12 +77,12 @@ def mapping_warning(path: Path, mapping: Mapping, names: Names, model: RobotMode
 def _contradicts(choice: RoleChoice, role: Role) -> bool:
     """Whether numbers in SI units surely have another unit or sign."""
     best = choice.best
-    return choice.sure and best.role == role and (_strange(best.unit) or "factor" in best.further)
+    return choice.sure and best.role == role and (not _is_si(best.unit) or "factor" in best.further)
 
 
-def _strange(unit: Any) -> bool:
-    """Whether the unit found for numbers in SI units is not an SI unit."""
-    return not {unit} <= SI if isinstance(unit, str) else not set(unit) <= SI
+def _is_si(unit: Any) -> bool:
+    """Whether a unit, or the units of all joints, are SI units."""
+    return ({unit} if isinstance(unit, str) else set(unit)) <= SI
 
 
 def usable_rows(series: Series) -> NDArray[np.signedinteger]:
@@ -106,8 +106,10 @@ def travel_of(path: Path, mapping: Mapping, names: Names) -> float | None:
     """
     name: SignalName = "object_pose" if "object_pose" in mapping.signals else "object_position"
     read = read_series(path, mapping, [name], [], names).get(name)
-    seen = np.zeros((0, 3)) if read is None else read.values[np.isfinite(read.values).all(axis=1), :3]
-    return float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) if len(seen) else None
+    if read is None or not (tracked := np.isfinite(read.values).all(axis=1)).any():
+        return None
+    track = read.values[tracked, :3]
+    return float(np.max(np.linalg.norm(track - np.median(track[:5], axis=0), axis=1)))
 
 
 def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
@@ -122,7 +124,7 @@ def impact_warnings(read: AbstractMapping[SignalName, Series], mapping: Mapping)
         read: Its signals, with position and torque.
         mapping: Describes it.
     """
-    if mapping.servo is not None:  # whose torque is not compared in contact
+    if mapping.servo is not None:  # the torque of servos is not compared in contact
         return []
     time = read["position"].time
     signals = {name: read[name].at(time) for name in REQUIRED if name in read}
@@ -149,6 +151,6 @@ def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
     except InputError:
         return None
     position, pose = read["position"], read["object_pose" if "object_pose" in read else "object_position"]
-    kept = np.isfinite(pose.values).all(axis=1)
-    pose = replace(pose, time=pose.time[kept], values=pose.values[kept])
-    return clocks_apart(pose, position, list(jumps_of(position, MIN_JUMP_SHARE)), path) if kept.any() else None
+    usable = np.isfinite(pose.values).all(axis=1)
+    pose = replace(pose, time=pose.time[usable], values=pose.values[usable])
+    return clocks_apart(pose, position, list(jumps_of(position, MIN_JUMP_SHARE)), path) if usable.any() else None

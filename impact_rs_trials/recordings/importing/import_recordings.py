@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From raw files to a mapping and an experiment file: every value is written with its evidence.
+"""From raw files to a mapping and an experiment file, in which every value has its evidence.
 
     file_groups       files into runs by their names
     recorded_files    layout, candidates, clock and raw numbers of each kind of file, read once (read_once)
     joint_search      the likeliest assignment of streams to the roles of the joints (hypotheses)
     joint_sections    sections of the mapping for the joints,
-    object_sections   and for the pose of an object, which does not move with the robot's tip (flange_path)
+    object_sections   sections for the pose of an object, which does not move with the tip of the robot (flange_path)
     described_runs    the runs, read with the mapping, and contradictions to it
 
 Values without evidence, or without a decisive margin to the next reading, are marked as assumed. Signals are read
@@ -62,9 +62,7 @@ NOMINAL = (
 )
 
 
-WHOLE_RUNS = (
-    "{names} hold the same columns: each is taken for a run; import those of another robot or body by themselves"
-)
+WHOLE_RUNS = "{names} hold the same columns: each is taken for a run; import runs of another robot or body separately"
 NOTHING_TRACKED = (
     "neither joints nor the pose of an object; expected columns of joints (--robot says which robot), or x, y, z and a "
     "quaternion; of a ball x, y, z, or two coordinates of which one falls freely, or a height in free fall. "
@@ -87,7 +85,7 @@ class ImportDraft:
         remarks: Warnings to the user.
         hits: Number of runs with impacts.
         runs: Number of runs.
-        readings: Possible readings by signal of the joints, the chosen one first.
+        readings: Possible readings by signal of the joints, the chosen reading first.
     """
 
     folder: Path
@@ -125,7 +123,7 @@ def draft_import(paths: Sequence[Path], output: Path, options: ImportOptions) ->
         options: Options of the import.
 
     Raises:
-        InputError: They cannot be read, or a key is missing without evidence; the message names the remedy.
+        InputError: A file cannot be read, or a key without evidence was not given; the message names the remedy.
     """
     with files_read_once():
         files = [file for path in paths for file in find_recordings(path, notes=True)]
@@ -133,7 +131,7 @@ def draft_import(paths: Sequence[Path], output: Path, options: ImportOptions) ->
 
 
 class _Importer:
-    """Collects guesses."""
+    """Describes the files of one import."""
 
     def __init__(self, groups: FileGroups, output: Path, options: ImportOptions) -> None:
         self._output, self._options = output, options
@@ -145,7 +143,7 @@ class _Importer:
         self._parts = self._opened()
 
     def _opened(self) -> list[RecordedFile]:
-        """A file of every kind; texts without numbers, as a log of events, are left out where others have some."""
+        """A file of every kind; texts without numbers, such as event logs, are left out if other files have some."""
         parts: list[RecordedFile] = []
         empty: list[NoTable] = []
         for pattern, files in self._groups.kinds.items():
@@ -159,31 +157,31 @@ class _Importer:
         return parts
 
     def draft(self) -> ImportDraft:
-        """All files."""
+        """The description of all files."""
         robot = self._robot()
         facts = None if robot == NO_ROBOT else load_facts(robot)
         signals: dict[str, dict[str, Any]] = {}
-        own: dict[str, Any] = {}
+        joint_keys: dict[str, Any] = {}
         part = self._parts[0]
         files = ImportedFiles(self._parts, self._groups, self._options.rate, self._notes)
         joints = JointSections(files)
         if facts is not None:
-            part, own, signals = joints.describe(robot, facts)
+            part, joint_keys, signals = joints.describe(robot, facts)
         tracked = ObjectSections(files, joints.flange)
         pose_part = tracked.describe(part, facts is not None, signals)
         if facts is None and pose_part is None:
-            flat = "".join(ON_A_TABLE.format(columns=pair) for pair in tracked.not_falling)
-            raise InputError(NOTHING_TRACKED + flat, file=self._parts[0].path)
+            planes = "".join(ON_A_TABLE.format(columns=pair) for pair in tracked.not_falling)
+            raise InputError(NOTHING_TRACKED + planes, file=self._parts[0].path)
         if facts is None and pose_part is not None:
             refuse_several(pose_part, self._groups, "objects without a robot", "object")
-        clock = self._time(part if facts is not None else pose_part or part)
+        main = part if facts is not None else pose_part or part
+        clock = self._time(main)
         content: dict[str, Any] = {
             "description": f"{self._groups.folder.name or 'recordings'}, as impact-rs import found it",
             "robot": robot if not robot.endswith((".yaml", ".yml")) else os.path.relpath(robot, self._output),
-            **own,
+            **joint_keys,
             **({"time": clock} if clock else {}),
         }
-        main = part if facts is not None else pose_part or part
         if main.layout != TableLayout():
             content["table"] = main.layout.model_dump(exclude_defaults=True)
         if main.run_column is not None:
@@ -216,27 +214,37 @@ class _Importer:
                 )
             self._notes.add("robot", self._options.robot, "given with --robot")
             return self._options.robot
-        known = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))
+        robots = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))
         texts = [text for part in self._parts for text in (part.path.parent.name, part.path.stem)]
-        texts += [text for part in self._parts for one in part.candidates for text in (one.label, *one.joints)]
+        texts += [
+            text
+            for part in self._parts
+            for candidate in part.candidates
+            for text in (candidate.label, *candidate.joints)
+        ]
         words = set().union(*map(_runs_of_words, texts))
-        named = [name for name in known if {name.replace("_", ""), name.partition("_")[2].replace("_", "")} & words]
-        if len(named) == 1:
+        matches = [name for name in robots if {name.replace("_", ""), name.partition("_")[2].replace("_", "")} & words]
+        if len(matches) == 1:
             self._notes.add(
-                "robot", named[0], "its name stands in the files; assumed, give --robot to be sure", sure=False
+                "robot", matches[0], "the files contain its name; assumed, give --robot to be sure", sure=False
             )
-            return named[0]
-        wide = {one.width for part in self._parts for one in part.candidates if not one.pose and one.guess}
-        counts = {name: load_facts(name).joint_count for name in known}
-        if not wide & set(counts.values()) and any(poses_in(part, False) for part in self._parts):
+            return matches[0]
+        widths = {
+            candidate.width
+            for part in self._parts
+            for candidate in part.candidates
+            if not candidate.pose and candidate.guess
+        }
+        counts = {name: load_facts(name).joint_count for name in robots}
+        if not widths & set(counts.values()) and any(poses_in(part, False) for part in self._parts):
             self._notes.add(
                 "robot", NO_ROBOT, "no signal is as wide as a robot has joints: an object alone", sure=False
             )
             return NO_ROBOT
-        fitting = [name for name, count in counts.items() if count in wide] or known
+        fitting = [name for name, count in counts.items() if count in widths] or robots
         raise InputError(
-            f"--robot is needed: the files do not say which robot this is; known are {', '.join(fitting)}, your own "
-            "comes from a URDF (impact-rs robot import), and none stands for an object without a robot",
+            f"--robot is needed: the files do not name the robot; known are {', '.join(fitting)}; impact-rs robot "
+            "import makes another robot from its URDF; none stands for an object without a robot",
             file=self._parts[0].path,
         )
 
@@ -253,8 +261,8 @@ class _Importer:
             self._notes.remarks += part.clock.remarks
             if (data := data_set_of(part.path)) is not None and data.fps is not None:
                 self._notes.remarks.append(NOMINAL.format(info=INFO, fps=data.fps))
-            if not any(STAMP.search(name) for name in part.clock_columns) and (back := steps_back(part.columns)):
-                self._notes.remarks.append(f"{back}; {flow(part.clock.value)} is taken for the clock instead")
+            if not any(STAMP.search(name) for name in part.clock_columns) and (step_back := steps_back(part.columns)):
+                self._notes.remarks.append(f"{step_back}; {flow(part.clock.value)} is taken for the clock instead")
             if part.clock.remarks and not self._options.dedupe:
                 self._notes.remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
         if self._options.dedupe:
@@ -278,6 +286,6 @@ class _Importer:
 
 
 def _runs_of_words(text: str) -> set[str]:
-    """Words of a text, and up to three neighbours joined: ``xarm 6`` and ``xarm_6`` hold ``xarm6``."""
+    """Words of a text, and two or three neighbouring words joined: ``xarm 6`` and ``xarm_6`` hold ``xarm6``."""
     words = re.findall(r"[a-z0-9]+", text.lower())
     return {"".join(words[first : first + count]) for first in range(len(words)) for count in (1, 2, 3)}

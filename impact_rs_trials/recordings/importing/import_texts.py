@@ -17,8 +17,8 @@ from impact_rs_trials.recordings.importing.file_groups import run_name
 from impact_rs_trials.recordings.readers.series import Names
 
 HEAD = """\
-# Where these recordings keep their signals, as impact-rs import found it. Every value is followed by its evidence;
-# ASSUMED: no evidence, or the next reading, which is named, is nearly as likely; check it before you trust a
+# Where the signals of these recordings are, as impact-rs import found it. Every value is followed by its evidence.
+# ASSUMED: without evidence, or nearly as likely as the next reading, which is named: check it before you trust a
 # verdict. All keys: docs/files.md
 """
 ARM = """\
@@ -81,13 +81,13 @@ class PossibleReading:
         stream: Name of the stream.
         source: Its keys in a mapping, without unit.
         unit: Unit of its numbers, or the units of all joints.
-        behind: Log posterior odds of the chosen reading against it; below log(100) it is nearly as likely.
+        log_odds: Log posterior odds of the chosen reading against it; below log(100) it is nearly as likely.
     """
 
     stream: str
     source: dict[str, Any]
     unit: Any
-    behind: float
+    log_odds: float
     evidence: str
 
 
@@ -116,22 +116,22 @@ class FoundRun:
 def flow(value: Any) -> str:
     """A value in one line of YAML."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {flow(one)}" for key, one in value.items()) + "}"
+        return "{" + ", ".join(f"{key}: {flow(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(flow(one) for one in value) + "]"
+        return "[" + ", ".join(flow(item) for item in value) + "]"
     if isinstance(value, str):
         return value if _plain(value) else yaml.safe_dump(value, default_style='"', width=float("inf")).strip()
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
-        text = f"{value:.6g}"  # YAML 1.1 takes a power of ten without a decimal point for a text
+        text = f"{value:.6g}"  # YAML 1.1 reads a power of ten without a decimal point as text
         return text.replace("e", ".0e", 1) if "e" in text and "." not in text else text
     return str(value)
 
 
 def _plain(text: str) -> bool:
     """Whether YAML reads a text without quotation marks as text, not as a boolean, a number or null."""
-    if not re.fullmatch(r"[A-Za-z_][\w/. ]*", text) or text.lower() in ("y", "n"):  # YAML 1.1 takes these two as well
+    if not re.fullmatch(r"[A-Za-z_][\w/. ]*", text) or text.lower() in ("y", "n"):  # booleans of YAML 1.1
         return False
     return bool(yaml.safe_load(text) == text)
 
@@ -152,8 +152,9 @@ def mapping_text(content: AbstractMapping[str, Any], lines: Sequence[Line]) -> s
             text.append("signals:")
             for name, section in value.items():
                 text.append(f"  {name}:{_remark(comments.get(f'signals.{name}'))}")
-                for inner, one in section.items():
-                    text.append(f"    {inner}: {flow(one)}{_remark(comments.get(f'signals.{name}.{inner}'))}")
+                for inner_key, inner_value in section.items():
+                    comment = _remark(comments.get(f"signals.{name}.{inner_key}"))
+                    text.append(f"    {inner_key}: {flow(inner_value)}{comment}")
         else:
             text.append(f"{key}: {flow(value)}{_remark(comments.get(key) or comments.get(f'{key}.rate'))}")
     return "\n".join(text) + "\n"
@@ -163,18 +164,18 @@ def _remark(comments: str | None) -> str:
     return "" if comments is None else f"   # {' '.join(comments.split())}"
 
 
-def runs_text(rows: Sequence[FoundRun], alone: bool) -> str:
+def runs_text(rows: Sequence[FoundRun], without_robot: bool) -> str:
     """The table of runs.
 
     Args:
         rows: Its runs, at least one.
-        alone: Whether the runs have an object and no robot.
+        without_robot: Whether the runs have an object and no robot.
     """
     sessions = any(row.session for row in rows)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["bag", "object", "kind", *(["session"] if sessions else [])])
     for row in rows:
-        name = "body" if alone else row.object if row.hit else "none"
+        name = "body" if without_robot else row.object if row.hit else "none"
         writer.writerow([row.run, name, "hit" if row.hit else "free motion", *([row.session] if sessions else [])])
     return text.getvalue()

@@ -220,9 +220,9 @@ class JointSections:
             listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(servo.informative))
             text = f"kp by gravity and inertia of the model in joints {listed}; prefer the gains of your controller"
             self._notes.remarks.append(
-                "no gains were recorded: kp was found with the masses of the model, so this log cannot tell masses from "
-                "gains, and kd is a part of the viscous friction. Write kp and kd of your controller into servo, with "
-                "gains: given, if you know them"
+                "no gains were recorded: kp was found with the masses of the model, so this log cannot tell masses "
+                "from gains, and kd is a part of the viscous friction. Write kp and kd of your controller into servo, "
+                "with gains: given, if you know them"
             )
         self._notes.add("servo", flow(servo_keys), text, sure=servo.has_recorded_gains)
         gravity = "with gravity" if servo.meaning == "whole" else "without gravity"
@@ -451,7 +451,7 @@ class JointSections:
             evidence += "; the other numbers, as of a gripper, are left out"
             self._notes.remarks.append(f"signals.{name}: of {candidate.label} numbers are taken for the joints")
         rival = next((alternative for alternative in possible if alternative.stream != reading.stream.label), None)
-        margin = np.inf if rival is None else rival.behind
+        margin = np.inf if rival is None else rival.log_odds
         if rival is not None and margin < DECISIVE_LOG_ODDS:
             evidence += f"; next: {rival.stream}, log odds {margin:.2g}"
         evidence += "" if candidate.stamped else f"; {NO_HEADER}"

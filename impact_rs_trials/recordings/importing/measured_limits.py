@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits of joints from a recording, for a URDF without limits.
 
-The range of a motion is no limit of the robot: it suffices to compare a recording with its model, but not to plan
-other motions.
+The range of a motion is no limit of the robot. It suffices to compare a recording with its model, not to plan other
+motions.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
         joints: Names of the joints in the URDF, base to tip.
 
     Raises:
-        InputError: It is no table, has no such columns, or positions that are not in rad.
+        InputError: The file is no table, has no such columns, or has positions that are not in rad.
     """
     if not joints:
         return {}
@@ -43,51 +43,51 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
         raise InputError(expected, file=path, key="--measured")
     layout = find_layout(path).value
     table = read_columns(path, layout)
-    found: dict[tuple[str, str], tuple[float, ...]] = {}
+    limits: dict[tuple[str, str], tuple[float, ...]] = {}
     single = single_candidates(table.cells, "column") if len(joints) == 1 else []
-    for one in (*candidates_of(path, layout), *single):
-        quantity = QUANTITIES.get(one.guess)
-        if quantity is None or one.width != len(joints) or (joints[0], quantity) in found:
+    for candidate in (*candidates_of(path, layout), *single):
+        quantity = QUANTITIES.get(candidate.guess)
+        if quantity is None or candidate.width != len(joints) or (joints[0], quantity) in limits:
             continue
-        for joint, values in zip(joints, _values(path, table, one, joints).T, strict=True):
+        for joint, values in zip(joints, _values(path, table, candidate, joints).T, strict=True):
             low, high = float(np.nanmin(values)), float(np.nanmax(values))
-            found[joint, quantity] = (low, high) if quantity == "position" else (max(-low, high),)
-    if not found:
+            limits[joint, quantity] = (low, high) if quantity == "position" else (max(-low, high),)
+    if not limits:
         raise InputError(
             f"no {len(joints)} columns of positions, velocities or efforts; name them after the joints or number them: "
             f"position_{joints[0]} or q1 ... q{len(joints)}",
             file=path,
             key="--measured",
         )
-    for (joint, quantity), ends in found.items():
+    for (joint, quantity), ends in limits.items():
         if quantity == "position" and max(abs(end) for end in ends) > MAX_POSITION_RAD:
             evidence = f"joint {joint} is at {ends[0]:g} to {ends[1]:g}: expected rad or m, not degrees or mm"
             raise InputError(evidence, file=path, key="--measured")
-    return found
+    return limits
 
 
-def _values(path: Path, table: Columns, one: SignalCandidate, joints: Sequence[str]) -> Array:
-    """Numbers of one signal, in the order of the joints, ``(k, n)``; nan where the table has no finite one."""
-    pattern = one.source.get("column", "")
-    names = one.source.get("columns") or [pattern.replace("{joint}", str(n + 1)) for n in range(len(joints))]
-    named = {joint: column for column in names if (joint := _joint_of(column, joints)) is not None}
-    if named and len(named) < len(joints):
-        bare = ", ".join(joint for joint in joints if joint not in named)
-        expected = f"of columns {', '.join(names)} none is named after {bare}; name every column after its joint"
+def _values(path: Path, table: Columns, candidate: SignalCandidate, joints: Sequence[str]) -> Array:
+    """Numbers of a signal, in the order of the joints, ``(k, n)``; nan for cells without a finite number."""
+    pattern = candidate.source.get("column", "")
+    names = candidate.source.get("columns") or [pattern.replace("{joint}", str(n + 1)) for n in range(len(joints))]
+    column_of = {joint: column for column in names if (joint := _joint_of(column, joints)) is not None}
+    if column_of and len(column_of) < len(joints):
+        unnamed = ", ".join(joint for joint in joints if joint not in column_of)
+        expected = f"of columns {', '.join(names)} none is named after {unnamed}; name every column after its joint"
         raise InputError(expected, file=path, key="--measured")
-    if named:
-        names = [named[joint] for joint in joints]
+    if column_of:
+        names = [column_of[joint] for joint in joints]
     try:
         values = np.array([[float(cell) for cell in table.cells[name]] for name in names]).T
     except ValueError as error:
-        raise InputError(f"column {one.label}: {error}", file=path, key="--measured") from None
+        raise InputError(f"column {candidate.label}: {error}", file=path, key="--measured") from None
     values[~np.isfinite(values)] = np.nan
     if np.isnan(values).all(axis=0).any():
-        raise InputError(f"column {one.label}: expected a finite number in it", file=path, key="--measured")
+        raise InputError(f"column {candidate.label}: expected a finite number in it", file=path, key="--measured")
     return values
 
 
 def _joint_of(column: str, joints: Sequence[str]) -> str | None:
-    """Longest name of a joint that is a whole word or several of ``column``: ``_`` parts words."""
-    found = [joint for joint in joints if re.search(rf"(?<![^\W_]){re.escape(joint)}(?![^\W_])", column)]
-    return max(found, key=len, default=None)
+    """Longest joint name that consists of whole words of ``column``; ``_`` separates words."""
+    matches = [joint for joint in joints if re.search(rf"(?<![^\W_]){re.escape(joint)}(?![^\W_])", column)]
+    return max(matches, key=len, default=None)

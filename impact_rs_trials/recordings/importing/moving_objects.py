@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hit object of a run among several tracked ones: the one that moves most, if every run has a file of each."""
+"""The hit object of a run among several tracked objects: the object that moves most, if every run has all files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impact_rs_trials.recordings.readers.series import Names
 
 
 def moving_objects(groups: FileGroups, kind: str, mapping: Mapping) -> tuple[FileGroups, str, list[str]] | None:
-    """Files of several objects as one kind, which has in every run the file of the object that moves.
+    """Merge the files of several objects to one kind, which has in every run the file of the object that moves.
 
     Args:
         groups: Files by kind and run.
@@ -28,37 +28,40 @@ def moving_objects(groups: FileGroups, kind: str, mapping: Mapping) -> tuple[Fil
         if word[0] in (RUN.strip("{}"), OBJECT.strip("{}"), kind.rpartition(".")[2]):
             continue
         before, after = kind[: word.start()], kind[word.end() :]
-        named = {
-            other[len(before) : len(other) - len(after)]: other
-            for other in groups.kinds
-            if other.startswith(before) and other.endswith(after) and len(other) > len(before) + len(after)
+        kind_of = {
+            member[len(before) : len(member) - len(after)]: member
+            for member in groups.kinds
+            if member.startswith(before) and member.endswith(after) and len(member) > len(before) + len(after)
         }
-        named = {name: other for name, other in named.items() if WORD.fullmatch(name)}
-        travels = {name: _travels(groups, other, mapping) for name, other in named.items()}
-        usable = {name: own for name, own in travels.items() if own is not None}
-        if len(usable) < 2:
+        travels = {
+            name: travel
+            for name, member in kind_of.items()
+            if WORD.fullmatch(name) and (travel := _travels(groups, member, mapping)) is not None
+        }
+        if len(travels) < 2:
             continue
         pattern = f"{before}{OBJECT}{after}"
-        chosen = {run: max(usable, key=lambda name: usable[name][run]) for run in groups.runs}  # noqa: B023
-        kinds = {other: by_run for other, by_run in groups.kinds.items() if other not in map(named.get, usable)}
-        kinds[pattern] = {run: groups.kinds[named[name]][run] for run, name in chosen.items()}
-        moved = [name for run, name in chosen.items() if usable[name][run] > MIN_OBJECT_DISPLACEMENT_M]
+        chosen = {run: max(travels, key=lambda name: travels[name][run]) for run in groups.runs}  # noqa: B023
+        merged_kinds = {kind_of[name] for name in travels}
+        kinds = {member: by_run for member, by_run in groups.kinds.items() if member not in merged_kinds}
+        kinds[pattern] = {run: groups.kinds[kind_of[name]][run] for run, name in chosen.items()}
+        moved = [name for run, name in chosen.items() if travels[name][run] > MIN_OBJECT_DISPLACEMENT_M]
         merged = replace(groups, kinds=kinds, objects={**groups.objects, **chosen})
         return merged, pattern, list(dict.fromkeys(moved))
     return None
 
 
 def _travels(groups: FileGroups, kind: str, mapping: Mapping) -> dict[str, float] | None:
-    """Largest displacement of an object in every run [m]; None: some run has no position of it."""
-    signals = {name: one.model_copy(update={"file": kind}) for name, one in mapping.signals.items()}
-    own = mapping.model_copy(update={"signals": signals})
-    found: dict[str, float] = {}
+    """Largest displacement of an object in every run [m]; None: a run has no position of the object."""
+    signals = {name: source.model_copy(update={"file": kind}) for name, source in mapping.signals.items()}
+    mapping_of_kind = mapping.model_copy(update={"signals": signals})
+    displacements: dict[str, float] = {}
     for run in groups.runs:
         try:
-            travel = travel_of(groups.folder / run, own, Names(run=run_name(run)))
+            travel = travel_of(groups.folder / run, mapping_of_kind, Names(run=run_name(run)))
         except InputError:
             return None
         if travel is None:
             return None
-        found[run] = travel
-    return found
+        displacements[run] = travel
+    return displacements

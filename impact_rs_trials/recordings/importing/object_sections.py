@@ -57,59 +57,59 @@ class ObjectSections:
         self, joints: RecordedFile, with_robot: bool, signals: dict[str, dict[str, Any]]
     ) -> RecordedFile | None:
         """Pose of an object, if there is one; it is added to the signals."""
-        for part in sorted(self._parts, key=lambda one: one is joints and with_robot):
-            for place, quaternion, named in poses_in(part, with_robot):
-                found = self._pose_sections(part, place, quaternion, named)
-                if found is None or self._is_of_the_tool(part, found):
+        for part in sorted(self._parts, key=lambda file: file is joints and with_robot):
+            for position, quaternion, by_name in poses_in(part, with_robot):
+                sections = self._pose_sections(part, position, quaternion, by_name)
+                if sections is None or self._is_of_the_tool(part, sections):
                     continue
                 if with_robot and self.groups.spread:
-                    self._choose_objects(part, found)
-                self._say_other_poses(part, place)
+                    self._choose_objects(part, sections)
+                self._note_other_poses(part, position)
                 if with_robot:
-                    for section in found.values():
+                    for section in sections.values():
                         section |= part.own_layout(joints)
-                signals |= found
+                signals |= sections
                 return part
         return None if with_robot else self._ball(signals)
 
     def _is_of_the_tool(self, part: RecordedFile, sections: dict[str, dict[str, Any]]) -> bool:
-        """Whether a pose is fixed on the flange of the robot, so that it is no object's; a note names it."""
+        """Whether a pose is fixed on the flange of the robot, so that it is no object; if so it is noted."""
         if self._flange is None:
             return False
         name: SignalName = "object_pose" if "object_pose" in sections else "object_position"
-        own = {key: one for key, one in sections[name].items() if key != "file"}  # the file of a run, opened here
-        source = SignalSource.model_validate(own)
+        keys = {key: value for key, value in sections[name].items() if key != "file"}  # the file of a run, opened here
+        source = SignalSource.model_validate(keys)
         raw = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": {name: source}})
         series = open_file(part.path, raw, part.names, (name,)).series(name, source)
         label = source.column or source.array or source.topic or ", ".join(source.columns or ())
-        most = MAX_RMS_RATIO_OF_TARGET if COMMANDED.search(label) else MAX_RMS_RATIO
-        carried = self._flange.carries(series.at(self._flange.time)[:, :3], most)
-        if carried is None:
+        max_rms_ratio = MAX_RMS_RATIO_OF_TARGET if COMMANDED.search(label) else MAX_RMS_RATIO
+        fixed_point = self._flange.carries(series.at(self._flange.time)[:, :3], max_rms_ratio)
+        if fixed_point is None:
             return False
-        where, left = carried
+        distance, residual_rms = fixed_point
         self._notes.remarks.append(
-            f"{label} is no object's: it moves with the tip of the robot, {1e3 * where:.3g} mm from it, to "
-            f"{1e3 * left:.2g} mm (rms)"
+            f"{label} is the pose of no object: it moves with the tip of the robot, {1e3 * distance:.3g} mm from it, "
+            f"to {1e3 * residual_rms:.2g} mm (rms)"
         )
         return True
 
-    def _say_other_poses(self, part: RecordedFile, taken: dict[str, Any]) -> None:
+    def _note_other_poses(self, part: RecordedFile, used: dict[str, Any]) -> None:
         """Note further arrays and topics that may be poses and are not used."""
-        others = [one.label for one in part.candidates if one.pose and one.source != taken]
-        if others:
+        unused = [candidate.label for candidate in part.candidates if candidate.pose and candidate.source != used]
+        if unused:
             self._notes.remarks.append(
-                f"{part.path.name} holds other poses, which are not used: {', '.join(others[:MAX_SHOWN_POSES])}"
-                + (f" and {len(others) - MAX_SHOWN_POSES} more" if len(others) > MAX_SHOWN_POSES else "")
+                f"{part.path.name} holds other poses, which are not used: {', '.join(unused[:MAX_SHOWN_POSES])}"
+                + (f" and {len(unused) - MAX_SHOWN_POSES} more" if len(unused) > MAX_SHOWN_POSES else "")
             )
 
     def _choose_objects(self, part: RecordedFile, sections: dict[str, dict[str, Any]]) -> None:
         """If every run has a file of each of several objects, take the file of the moving object."""
         sources = {name: SignalSource.model_validate(section) for name, section in sections.items()}
         mapping = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": sources})
-        found = moving_objects(self.groups, part.pattern, mapping)
-        if found is None:
+        merged = moving_objects(self.groups, part.pattern, mapping)
+        if merged is None:
             return
-        self.groups, pattern, objects = found
+        self.groups, pattern, objects = merged
         for section in sections.values():
             section["file"] = pattern
         self._notes.add(f"{OBJECT} of {pattern}", flow(objects), "in every run the object that moves most")
@@ -118,44 +118,44 @@ class ObjectSections:
         """Add positions of an object without tracked orientation, such as a ball, to the signals."""
         for part in self._parts:
             names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
-            places, _, planes = axes_of(names)
-            heights = [] if places or planes else [[name] for name in names if name not in part.clock_columns]
-            for columns in (*places, *planes, *heights):
+            positions, _, planes = axes_of(names)
+            heights = [] if positions or planes else [[name] for name in names if name not in part.clock_columns]
+            for columns in (*positions, *planes, *heights):
                 file = open_file(
                     part.path, part.raw_mapping(NO_ROBOT, (), self._rate), part.names, ("object_position",)
                 )
                 track = file.series("object_position", SignalSource(unit="m", columns=tuple(columns)))
                 if len(columns) in (IN_A_PLANE, HEIGHT_ALONE):
                     falling = fall_in(track.time, track.values[:, [0, 2] if len(columns) == IN_A_PLANE else [2]])
-                    # One column of many may bend like a fall in some unit; only a fall by g in a known one is a height.
+                    # A column of many may resemble a fall in some unit; only a fall by g in a known unit is a height.
                     if falling is None or (len(columns) == HEIGHT_ALONE and not falling[1].sure):
                         self.not_falling += [", ".join(columns)] if len(columns) == IN_A_PLANE else []
                         continue
-                    up, length = falling
+                    up, unit = falling
                     columns = [*columns[:up], *columns[up + 1 :], columns[up]]
                 else:
-                    length = unit_of_flight(track.time, track.values)
-                self._notes.add("signals.object_position", ", ".join(columns), length.evidence, length.sure)
+                    unit = unit_of_flight(track.time, track.values)
+                self._notes.add("signals.object_position", ", ".join(columns), unit.evidence, unit.sure)
                 self._notes.remarks.append(
                     "no column is its orientation: enough for a ball only, with its spin (body.spin)"
                 )
                 signals["object_position"] = {
                     **source_in(part, {"columns": columns}, self.groups),
-                    "unit": length.value,
-                    **length.further,
+                    "unit": unit.value,
+                    **unit.further,
                 }
                 return part
         return None
 
     def _length(self, track: Series) -> Guess:
-        """Unit of a body's positions; one near a robot slides, and its friction may resemble g in another unit."""
-        place = track.values[:, :3]
-        return unit_of_flight(track.time, place) if self._flange is None else unit_of_length(place)
+        """Unit of the positions of a body; near a robot it slides, and friction may resemble g in another unit."""
+        position = track.values[:, :3]
+        return unit_of_flight(track.time, position) if self._flange is None else unit_of_length(position)
 
     def _pose_sections(
-        self, part: RecordedFile, place: dict[str, Any], quaternion: dict[str, Any] | None, named: bool
+        self, part: RecordedFile, position: dict[str, Any], quaternion: dict[str, Any] | None, by_name: bool
     ) -> dict[str, dict[str, Any]] | None:
-        source = place if quaternion is None else None
+        source = position if quaternion is None else None
         file = open_file(part.path, part.raw_mapping(NO_ROBOT, (), self._rate, source), part.names, ("object_pose",))
 
         def track(name: SignalName, source: dict[str, Any]) -> Series | None:
@@ -165,14 +165,19 @@ class ObjectSections:
             except InputError:
                 return None
 
-        label = place.get("column") or place.get("array") or place.get("topic") or ", ".join(place.get("columns", ()))
+        label = (
+            position.get("column")
+            or position.get("array")
+            or position.get("topic")
+            or ", ".join(position.get("columns", ()))
+        )
         if quaternion is None:
-            pose = track("object_pose", place)
+            pose = track("object_pose", position)
             order = None if pose is None else quaternion_order(pose.values[:, 3:])
             if order is None or pose is None:
                 return None
             length = self._length(pose)
-            matrices = are_transforms(np.shape(part.columns.get(place.get("array", ""), ())))
+            matrices = are_transforms(np.shape(part.columns.get(position.get("array", ""), ())))
             if matrices:
                 order = Guess("xyzw", "")
             evidence = "holds homogeneous matrices" if matrices else "holds a position and a unit quaternion"
@@ -180,30 +185,34 @@ class ObjectSections:
             evidence = "; ".join(filter(None, (length.evidence, order.evidence)))
             self._notes.add("signals.object_pose.unit", length.value, evidence, length.sure and order.sure)
             further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
-            return {"object_pose": {**source_in(part, place, self.groups), "unit": length.value, **further}}
-        where, turned = track("object_position", place), track("object_quaternion", quaternion)
-        order = None if turned is None else quaternion_order(turned.values)
-        if where is None or order is None:
+            return {"object_pose": {**source_in(part, position, self.groups), "unit": length.value, **further}}
+        positions, quaternions = track("object_position", position), track("object_quaternion", quaternion)
+        order = None if quaternions is None else quaternion_order(quaternions.values)
+        if positions is None or order is None:
             return None
-        length = self._length(where)
+        length = self._length(positions)
         if names := quaternion.get("columns"):
             order = Guess("wxyz" if names[0].lower().endswith("w") else "xyzw", "the names of its columns")
         further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
         turned_label = quaternion.get("column") or quaternion.get("array") or ", ".join(names or ())
-        how = "by their names" if named else "by order alone"
-        evidence = f"taken for the position of the body with the orientation {turned_label}, {how}"
-        self._notes.add("signals.object_position", label, evidence, named)
+        pairing = "by their names" if by_name else "by order alone"
+        evidence = f"taken for the position of the body with the orientation {turned_label}, {pairing}"
+        self._notes.add("signals.object_position", label, evidence, by_name)
         self._notes.add("signals.object_position.unit", length.value, length.evidence, length.sure)
-        self._notes.add("signals.object_quaternion", order.value, order.evidence, order.sure and named)
+        self._notes.add("signals.object_quaternion", order.value, order.evidence, order.sure and by_name)
         return {
-            "object_position": {**source_in(part, place, self.groups), "unit": length.value},
+            "object_position": {**source_in(part, position, self.groups), "unit": length.value},
             "object_quaternion": {**source_in(part, quaternion, self.groups), "unit": "-", **further},
         }
 
 
 def poses_in(part: RecordedFile, with_robot: bool) -> list[tuple[dict[str, Any], dict[str, Any] | None, bool]]:
     """Sources of a pose: seven numbers, or position and quaternion, and whether these are paired by name."""
-    whole = [(one.source, None, True) for one in part.candidates if one.pose or one.width == 7 and not with_robot]
+    poses = [
+        (candidate.source, None, True)
+        for candidate in part.candidates
+        if candidate.pose or candidate.width == 7 and not with_robot
+    ]
     vectors = {name: vector_width(cells) for name, cells in part.columns.items()}
     sources = {name: {"column": name} for name in vectors}
     for name, column in part.columns.items():  # arrays of an array file are no columns
@@ -211,31 +220,35 @@ def poses_in(part: RecordedFile, with_robot: bool) -> list[tuple[dict[str, Any],
             vectors[name], sources[name] = width_of(column.shape), {"array": name}
     names = [name for name in vectors if not (with_robot and OF_THE_ROBOT.search(name))]
     groups = axes_of(names)
-    places = [sources[name] for name in names if vectors[name] == 3] + [{"columns": own} for own in groups[0]]
-    turns = [sources[name] for name in names if vectors[name] == 4] + [{"columns": own} for own in groups[1]]
-    return [*whole, *_paired(places, turns)]
+    positions: list[dict[str, Any]] = [sources[name] for name in names if vectors[name] == 3]
+    positions += [{"columns": columns} for columns in groups[0]]
+    quaternions: list[dict[str, Any]] = [sources[name] for name in names if vectors[name] == 4]
+    quaternions += [{"columns": columns} for columns in groups[1]]
+    return [*poses, *_paired(positions, quaternions)]
 
 
 def _paired(
-    places: Sequence[dict[str, Any]], turns: Sequence[dict[str, Any]]
+    positions: Sequence[dict[str, Any]], quaternions: Sequence[dict[str, Any]]
 ) -> Iterator[tuple[dict[str, Any], dict[str, Any], bool]]:
     """Pairs of positions and quaternions, by name, then by order; and whether by name."""
-    free = list(turns)
-    left = []
-    for place in places:
-        own = next((turn for turn in free if _body_of(turn) == _body_of(place)), None)
-        if own is None:
-            left.append(place)
+    unpaired = list(quaternions)
+    positions_alone = []
+    for position in positions:
+        partner = next((quaternion for quaternion in unpaired if _body_of(quaternion) == _body_of(position)), None)
+        if partner is None:
+            positions_alone.append(position)
         else:
-            free.remove(own)
-            yield place, own, True
-    alone = len(places) == len(turns) == 1
-    yield from ((place, turn, alone) for place, turn in zip(left, free, strict=False))
+            unpaired.remove(partner)
+            yield position, partner, True
+    single_pair = len(positions) == len(quaternions) == 1
+    yield from (
+        (position, quaternion, single_pair) for position, quaternion in zip(positions_alone, unpaired, strict=False)
+    )
 
 
 def _body_of(source: dict[str, Any]) -> tuple[str, ...]:
-    """Name of the body, from a name without the words for position and quaternion."""
+    """Words of a source that name the body: the common words of its columns except those for a pose."""
     columns = source.get("columns") or [source.get("column") or source.get("array") or ""]
     words = [re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", name) for name in columns]
-    common = [word.lower() for word in words[0] if all(word in other for other in words)]
+    common = [word.lower() for word in words[0] if all(word in parts for parts in words)]
     return tuple(word for word in common if not OF_A_POSE.fullmatch(word))

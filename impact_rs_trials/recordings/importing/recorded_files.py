@@ -85,7 +85,7 @@ class RecordedFile:
 
     @property
     def stamps(self) -> str:
-        """Where they are, for messages."""
+        """Location and unit of the timestamps, for messages."""
         return "the messages" if self.clock is None else f"{flow(self.clock.value)} [{self.clock.further['unit']}]"
 
     @property
@@ -106,13 +106,13 @@ class RecordedFile:
         if not self.columns:
             return {"stamp": "log"} if self.on_log else {}
         if self.clock is None:
-            if (back := steps_back(self.columns)) is not None:
-                evidence = f"{back}; sort the rows by time, or cut the recording there into several"
+            if (step_back := steps_back(self.columns)) is not None:
+                evidence = f"{step_back}; sort the rows by time, or cut the recording there into several"
                 raise InputError(evidence, file=self.path)
-            if (strange := strange_stamp(self.columns)) is not None:
+            if (strange_cell := strange_stamp(self.columns)) is not None:
                 raise InputError(
-                    f"no column holds time stamps: {strange}, expected seconds or another unit in numbers, or dates as "
-                    "2026-11-25 12:00:00.5; rewrite this column",
+                    f"no column holds time stamps: {strange_cell}, expected seconds or another unit in numbers, or "
+                    "dates as 2026-11-25 12:00:00.5; rewrite this column",
                     file=self.path,
                 )
             raise InputError(
@@ -126,7 +126,7 @@ class RecordedFile:
     def raw_mapping(
         self, robot: str, joints: tuple[str, ...], rate: float | None, source: AbstractMapping[str, Any] | None = None
     ) -> Mapping:
-        """A mapping by which a reader gives numbers as the file has them."""
+        """A mapping with which a reader returns the numbers of the file unchanged."""
         signals: dict[str, Any] = {name: {"unit": unit, **(source or {})} for name, unit in RAW_UNITS.items()}
         if robot == NO_ROBOT:
             parts = {"object_position": {"unit": "m"}, "object_quaternion": {"unit": "-"}}
@@ -137,25 +137,29 @@ class RecordedFile:
         )  # fmt: skip
 
     def own_layout(self, main: RecordedFile) -> dict[str, Any]:
-        """Layout and timestamps of the file that differ from the main file's."""
-        own: dict[str, Any] = {}
+        """Layout and timestamps of the file that differ from those of the main file."""
+        differing: dict[str, Any] = {}
         if self is not main:
             if self.layout != main.layout:
-                own["table"] = self.layout.model_dump(exclude_defaults=True)
+                differing["table"] = self.layout.model_dump(exclude_defaults=True)
             if self.clock is not None and main.clock is not None:
-                own |= self._own_time(self.clock, main.clock)
-        return own
+                differing |= self._own_time(self.clock, main.clock)
+        return differing
 
     def _own_time(self, clock: Guess, main: Guess) -> dict[str, Any]:
-        """Keys of a signal for timestamps that differ from the main file's."""
+        """Keys of a signal for timestamps that differ from those of the main file."""
         if clock.further.get("steps") != main.further.get("steps"):
             raise InputError(
-                f"its time {flow(clock.value)} and that of the joints are not both time stamps or both times since the "
-                "row before, expected one kind in all files of a run; add a column of time stamps",
+                f"its time {flow(clock.value)} and the time of the joints are not both time stamps or both times since "
+                "the previous row, expected one kind in all files of a run; add a column of time stamps",
                 file=self.path,
             )
-        own = {} if clock.value == main.value else {f"time_{'array' if self.is_array_file else 'column'}": clock.value}
-        return own | ({} if clock.further["unit"] == main.further["unit"] else {"time_unit": clock.further["unit"]})
+        differing: dict[str, Any] = {}
+        if clock.value != main.value:
+            differing["time_array" if self.is_array_file else "time_column"] = clock.value
+        if clock.further["unit"] != main.further["unit"]:
+            differing["time_unit"] = clock.further["unit"]
+        return differing
 
 
 @dataclass(frozen=True)
@@ -191,37 +195,39 @@ def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> Recor
         return RecordedFile(pattern, path, TableLayout(), {}, candidates_of(path), None)
     if suffix_of(path) in ARRAY_SUFFIXES:
         return _of_arrays(pattern, path, spread, notes)
-    found = find_layout(path)
-    layout = found.value
-    if found.evidence:
-        notes.add(f"table ({path.name})", flow(layout.model_dump(exclude_defaults=True)), found.evidence)
+    layout_guess = find_layout(path)
+    layout = layout_guess.value
+    if layout_guess.evidence:
+        notes.add(f"table ({path.name})", flow(layout.model_dump(exclude_defaults=True)), layout_guess.evidence)
     columns = read_columns(path, layout).cells
     run, column = "", None if spread else run_column_of(columns)
     if column is not None:
         run = runs_of(columns[column])[0]
-        notes.add("run_column", column, "says of every row which of several runs it belongs to")
+        notes.add("run_column", column, "holds the run of every row")
         columns = read_rows(path, layout, column, run).cells
     part = RecordedFile(pattern, path, layout, columns, candidates_of(path, layout), clock_of(columns))
     return replace(part, run=run, run_column=column)
 
 
 def _of_arrays(pattern: str, path: Path, spread: bool, notes: Notes) -> RecordedFile:
-    """A file of arrays; if its groups are runs, the arrays of the first, with ``{run}`` in their names."""
+    """A file of arrays; if its groups are runs, the arrays of the first run, with ``{run}`` in their names."""
     columns, candidates = ArrayFile.arrays_of(path), candidates_of(path)
     groups, run = run_groups_of(columns), ""
     if groups is not None:
         listed = ", ".join(f"{groups.before}{name}" for name in groups.names[:MAX_SHOWN_GROUPS])
         if groups.recorded and not spread:
             run = groups.names[0]
-            columns = {new: own for name, own in columns.items() if (new := groups.with_placeholder(name))}
-            named = [(one, groups.with_placeholder(one.source["array"])) for one in candidates]
-            candidates = [replace(one, source={"array": new}, label=new) for one, new in named if new]
+            columns = {label: values for name, values in columns.items() if (label := groups.with_placeholder(name))}
+            relabelled = [(candidate, groups.with_placeholder(candidate.source["array"])) for candidate in candidates]
+            candidates = [
+                replace(candidate, source={"array": label}, label=label) for candidate, label in relabelled if label
+            ]
             notes.add("{run}", listed, f"{len(groups.names)} groups hold the same arrays: each is a run")
         else:
             notes.remarks.append(
-                f"{path.name}: groups {listed} hold arrays of the same names, and one of them is described; where "
-                f"they are runs, {RUN} in place of their name in every array and time.array of the mapping takes "
-                "all of them, with FILE/GROUP as bag in runs.csv"
+                f"{path.name}: groups {listed} hold arrays of the same names, and one group is described; if they are "
+                f"runs, write {RUN} for the name of the group into every array and time.array of the mapping, and "
+                "FILE/GROUP as bag into runs.csv"
             )
     return RecordedFile(pattern, path, TableLayout(), columns, candidates, clock_of(columns), run=run)
 
@@ -233,7 +239,7 @@ def column_names(path: Path) -> frozenset[str]:
         InputError: The file cannot be read.
     """
     if is_bag_folder(path) or suffix_of(path) in BAG_SUFFIXES:
-        return frozenset(one.label for one in candidates_of(path))
+        return frozenset(candidate.label for candidate in candidates_of(path))
     if suffix_of(path) in ARRAY_SUFFIXES:
         return frozenset(ArrayFile.shapes_of(path))
     try:
@@ -244,40 +250,42 @@ def column_names(path: Path) -> frozenset[str]:
 
 
 def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None) -> dict[str, str]:
-    """Read the raw numbers of all candidates that are as wide as the robot has joints; why others are refused."""
+    """Read the raw numbers of all candidates that are as wide as the robot has joints; reasons of refusals by label."""
     refused: dict[str, str] = {}
     _add_windows(part, count)
     if count == 1 and part.layout.header != 0:
         key = "array" if part.is_array_file else "column"
-        columns = {name: own for name, own in part.columns.items() if name not in part.clock_columns}
+        columns = {name: values for name, values in part.columns.items() if name not in part.clock_columns}
         part.candidates += single_candidates(columns, key)
-    part.candidates += [own for one in part.candidates for own in parts_of(one, count)]
+    part.candidates += [
+        candidate_part for candidate in part.candidates for candidate_part in parts_of(candidate, count)
+    ]
     numbered = tuple(f"joint{number}" for number in range(1, count + 1))
     shared = None if part.is_bag else open_file(part.path, part.raw_mapping(robot, numbered, rate), part.names, ())
     if part.is_bag:
-        read_topics(part.path, {one.source["topic"] for one in part.candidates})
-    for one in part.candidates:
-        if one.pose or (one.width != count and len(one.joints) < count):
+        read_topics(part.path, {candidate.source["topic"] for candidate in part.candidates})
+    for candidate in part.candidates:
+        if candidate.pose or (candidate.width != count and len(candidate.joints) < count):
             continue
-        source = SignalSource(unit="rad", **one.source)
-        named = part.raw_mapping(robot, joints_of(one.joints, "", False, count), rate, one.source)
-        if not one.stamped:
-            named = named.model_copy(update={"time": named.time.model_copy(update={"stamp": "log"})})
+        source = SignalSource(unit="rad", **candidate.source)
+        mapping = part.raw_mapping(robot, joints_of(candidate.joints, "", False, count), rate, candidate.source)
+        if not candidate.stamped:
+            mapping = mapping.model_copy(update={"time": mapping.time.model_copy(update={"stamp": "log"})})
         try:
-            series = (shared or open_file(part.path, named, part.names, ("position",))).series("position", source)
+            series = (shared or open_file(part.path, mapping, part.names, ("position",))).series("position", source)
         except InputError as error:
-            refused[one.label] = str(error)
+            refused[candidate.label] = str(error)
             continue
         series = without_steps_back({"position": series.filled()})[0]["position"].without_held()
         rows = usable_rows(series)
         if rows.size > MIN_CHECKED_SAMPLES:
-            kept = replace(series, time=series.time[rows], values=series.values[rows])
-            part.streams.append(JointStream(part.pattern, one, kept))
+            series = replace(series, time=series.time[rows], values=series.values[rows])
+            part.streams.append(JointStream(part.pattern, candidate, series))
         else:
-            refused[one.label] = (
+            refused[candidate.label] = (
                 f"{rows.size} of {series.time.size} samples have numbers and a later stamp than all before, "
-                f"more than {MIN_CHECKED_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
-                "mapping names others, or a rate"
+                f"more than {MIN_CHECKED_SAMPLES} are needed; stamps were taken from {part.stamps}; the key time of a "
+                "mapping names other stamps, or a rate"
             )
     _put_on_stamps(part)
     return refused
@@ -289,56 +297,66 @@ def settle_clock(part: RecordedFile, model: RobotModel) -> None:
     if clock is None or clock.sure or "steps" in clock.further:
         return
     assumed, stamps = UNITS["time"][clock.further["unit"]], numbers_of(part.columns[clock.value])
-    tried = []
+    choices = []
     for unit in (clock.further["unit"], *other_units(clock, stamps)):
         scale = UNITS["time"][unit] / assumed
-        streams = [replace(one, series=replace(one.series, time=scale * one.series.time)) for one in part.streams]
-        if found := JointSearch(streams, model).motions():
-            tried.append((found[0].motion_log_posterior, unit, streams, found[0]))
-    if not tried:
+        streams = [
+            replace(stream, series=replace(stream.series, time=scale * stream.series.time)) for stream in part.streams
+        ]
+        if motions := JointSearch(streams, model).motions():
+            choices.append((motions[0].motion_log_posterior, unit, streams, motions[0]))
+    if not choices:
         return
-    tried.sort(key=lambda one: one[0], reverse=True)
-    _, unit, streams, motion = tried[0]
+    choices.sort(key=lambda entry: entry[0], reverse=True)
+    _, unit, streams, motion = choices[0]
     assert motion.velocity is not None
     rate = 1.0 / float(np.median(np.diff(motion.time)))
-    place, speed = motion.position.stream.label, motion.velocity.stream.label
-    evidence = f"increases; in {unit}, {rate:.4g} Hz, {speed} is the derivative of {place}"
-    margin = tried[0][0] - tried[1][0] if len(tried) > 1 else np.inf
-    evidence += "" if margin > DECISIVE_LOG_ODDS else f"; next: {tried[1][1]}, log odds {margin:.2g}"
+    position, velocity = motion.position.stream.label, motion.velocity.stream.label
+    evidence = f"increases; in {unit}, {rate:.4g} Hz, {velocity} is the derivative of {position}"
+    margin = choices[0][0] - choices[1][0] if len(choices) > 1 else np.inf
+    evidence += "" if margin > DECISIVE_LOG_ODDS else f"; next: {choices[1][1]}, log odds {margin:.2g}"
     part.clock = replace(clock, evidence=evidence, sure=bool(margin > DECISIVE_LOG_ODDS), further={"unit": unit})
     part.streams = streams
 
 
 def _put_on_stamps(part: RecordedFile) -> None:
-    """Put signals without timestamps on the clock of the others, as the reader does."""
-    stamped = [one.series for one in part.streams if one.candidate.stamped]
-    shifts = [float(np.median(one.log - one.time)) for one in stamped if one.log is not None]
+    """Put signals without timestamps on the clock of the signals with timestamps, as the reader does."""
+    stamped = [stream.series for stream in part.streams if stream.candidate.stamped]
+    shifts = [float(np.median(series.log - series.time)) for series in stamped if series.log is not None]
     if shifts:
         part.streams = [
-            one if one.candidate.stamped else replace(one, series=replace(one.series, time=one.series.time - shifts[0]))
-            for one in part.streams
+            stream
+            if stream.candidate.stamped
+            else replace(stream, series=replace(stream.series, time=stream.series.time - shifts[0]))
+            for stream in part.streams
         ]
 
 
 def _add_windows(part: RecordedFile, count: int) -> None:
-    """Neighbouring columns without names; columns with names of a file that has but one signal."""
+    """Add windows of neighbouring unnamed columns; or all named columns of a file with a single signal."""
     names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
     numeric = [name for name in names if name not in part.clock_columns]
-    if not names or any(one.source.get("columns") for one in part.candidates):
+    if not names or any(candidate.source.get("columns") for candidate in part.candidates):
         return
     if part.layout.header != 0 and suffix_of(part.path) != ".npy":
-        if len(numeric) == count and not axes_of(numeric)[1] and not any(one.width == count for one in part.candidates):
+        if (
+            len(numeric) == count
+            and not axes_of(numeric)[1]
+            and not any(candidate.width == count for candidate in part.candidates)
+        ):
             label = f"{numeric[0]} … {numeric[-1]}"
             part.candidates.append(SignalCandidate(label, {"columns": numeric}, False, "", count))
         return
-    part.candidates[:] = [one for one in part.candidates if "columns" not in one.source and one.width == 1]
+    part.candidates[:] = [
+        candidate for candidate in part.candidates if "columns" not in candidate.source and candidate.width == 1
+    ]
     for start in range(len(numeric) - count + 1):
-        own = numeric[start : start + count]
-        part.candidates.append(SignalCandidate(f"{own[0]} … {own[-1]}", {"columns": own}, False, "", count))
+        window = numeric[start : start + count]
+        part.candidates.append(SignalCandidate(f"{window[0]} … {window[-1]}", {"columns": window}, False, "", count))
 
 
 def frames_in(columns: AbstractMapping[str, Any]) -> dict[str, Any]:
-    """Keys of a clock by a column of frame numbers of a camera, which may have gaps; empty: there is no such column."""
+    """Keys of a clock: a column of frame numbers of a camera, which may have gaps; empty: there is no such column."""
     for name, cells in columns.items():
         if FRAME.search(name):
             try:
@@ -351,38 +369,38 @@ def frames_in(columns: AbstractMapping[str, Any]) -> dict[str, Any]:
 
 
 def axes_of(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]], list[list[str]]]:
-    """Columns of places (x, y, z), of quaternions and of places in a plane, by what stands around the letter."""
+    """Columns of positions (x, y, z), quaternions and positions in a plane, grouped by the name without letter."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
-        for found in re.finditer(r"(?i)(?<![a-z])q?([xyzw])(?![a-z])|([xyzw])$", name):
-            letter = (found[1] or found[2]).lower()
-            groups.setdefault((name[: found.start()], name[found.end() :]), {}).setdefault(
-                ("q" if found[0].lower().startswith("q") else "") + letter, name
+        for match in re.finditer(r"(?i)(?<![a-z])q?([xyzw])(?![a-z])|([xyzw])$", name):
+            letter = (match[1] or match[2]).lower()
+            groups.setdefault((name[: match.start()], name[match.end() :]), {}).setdefault(
+                ("q" if match[0].lower().startswith("q") else "") + letter, name
             )
-    places, turns, planes = [], [], []
-    for own in groups.values():
-        plain = {letter: own[letter] for letter in own if not letter.startswith("q")}
-        quaternion = {letter[-1]: own[letter] for letter in own if letter.startswith("q")}
+    positions, quaternions, planes = [], [], []
+    for columns in groups.values():
+        plain = {letter: columns[letter] for letter in columns if not letter.startswith("q")}
+        quaternion = {letter[-1]: columns[letter] for letter in columns if letter.startswith("q")}
         if set(plain) == set("xyzw"):
             quaternion = plain
         elif set("xyz") <= set(plain):
-            places.append([plain[axis] for axis in AXES])
+            positions.append([plain[axis] for axis in AXES])
         elif len(plain) == IN_A_PLANE and "w" not in plain:
             planes.append([plain[axis] for axis in AXES if axis in plain])
         if set(quaternion) == set("xyzw"):
             first = min(quaternion, key=lambda letter: list(names).index(quaternion[letter]))
-            turns.append([quaternion[letter] for letter in QUATERNION[first == "w"]])
-    return places, turns, planes
+            quaternions.append([quaternion[letter] for letter in QUATERNION[first == "w"]])
+    return positions, quaternions, planes
 
 
 def source_in(part: RecordedFile, source: AbstractMapping[str, Any], groups: FileGroups) -> dict[str, Any]:
-    """Where a signal is, with the file that it lies in."""
+    """Source of a signal, with its file if a run has several."""
     return {**source, **({"file": part.pattern} if groups.spread else {})}
 
 
-def refuse_several(part: RecordedFile, groups: FileGroups, what: str, whose: str) -> None:
-    """Files that differ in a word are of objects that a robot hits, and of nothing else."""
+def refuse_several(part: RecordedFile, groups: FileGroups, contents: str, owner: str) -> None:
+    """Refuse files that differ in a word unless they hold objects that a robot hits."""
     if OBJECT in part.pattern:
-        named = ", ".join(sorted(set(groups.objects.values())))
-        evidence = f"files {part.pattern} hold {what}, of {named}: import the runs of each {whose} by themselves"
+        objects = ", ".join(sorted(set(groups.objects.values())))
+        evidence = f"files {part.pattern} hold {contents}, of {objects}: import the runs of each {owner} separately"
         raise InputError(evidence, file=part.path)

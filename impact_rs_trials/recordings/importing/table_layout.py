@@ -29,7 +29,7 @@ class NoTable(InputError):
 
 
 def find_layout(path: Path) -> Guess:
-    """The :class:`~impact_rs_trials.recordings.mapping.TableLayout` of a table; the default where columns are named.
+    """The :class:`~impact_rs_trials.recordings.mapping.TableLayout` of a table; default: the format names columns.
 
     Raises:
         NoTable: No table begins in its first lines.
@@ -41,20 +41,20 @@ def find_layout(path: Path) -> Guess:
     point = decimal_sign([line for _, line in lines])
     cells = {number: split_line(line.lstrip("# "), point) for number, line in lines}
     data = [number for number, line in lines if not line.startswith("#") and _is_row(cells[number])]
-    for place, first in enumerate(data):
-        together = data[place : place + MIN_TABLE_ROWS]
-        alike = {(len(cells[number]), separator_of(texts[number], point)) for number in together}
-        if len(alike) == 1 and (len(together) == MIN_TABLE_ROWS or place == 0):
-            found = _named(cells, first, {number for number, line in lines if line.startswith("#")})
+    for index, first in enumerate(data):
+        rows = data[index : index + MIN_TABLE_ROWS]
+        shapes = {(len(cells[number]), separator_of(texts[number], point)) for number in rows}
+        if len(shapes) == 1 and (len(rows) == MIN_TABLE_ROWS or index == 0):
+            guess = _named(cells, first, {number for number, line in lines if line.startswith("#")})
             if point == ".":
-                return found
-            evidence = f"{found.evidence}; numbers have a decimal comma"
-            return replace(found, value=found.value.model_copy(update={"decimal": point}), evidence=evidence)
+                return guess
+            evidence = f"{guess.evidence}; numbers have a decimal comma"
+            return replace(guess, value=guess.value.model_copy(update={"decimal": point}), evidence=evidence)
     raise NoTable(f"no table of numbers begins in its first {MAX_HEADER_LINES} lines", file=path)
 
 
 def _named(cells: dict[int, list[str]], first: int, comments: set[int]) -> Guess:
-    """The layout of a table whose numbers begin in a line."""
+    """The layout of a table whose numbers begin in line ``first``."""
     width = len(cells[first])
     above = [number for number in cells if number < first]
     if above and len(cells[above[-1]]) == width and all(map(is_unit, cells[above[-1]])):
@@ -70,7 +70,7 @@ def _named(cells: dict[int, list[str]], first: int, comments: set[int]) -> Guess
     if units is not None:
         evidence += f"; units stand in line {units}"
     if len(above) > 1:
-        evidence += f"; what else stands above is skipped ({len(above) - 1} line{'s' if len(above) > 2 else ''})"
+        evidence += f"; {len(above) - 1} other line{'s' if len(above) > 2 else ''} above the numbers skipped"
     next_line = above[-1] == names and units is None
     plain = names not in comments and set(above[:-1]) <= comments and next_line
     layout = TableLayout() if plain else TableLayout(header=names, first=None if next_line else first)

@@ -388,7 +388,7 @@ def test_an_import_passes_on_why_the_reader_refuses_a_file(tmp_path: Path, motio
     said = refusal(iiwa, file, tmp_path)
     assert "no signal of 7 joints can be read" in said and "--robot" not in said
     assert "q1 … q7, dq1 … dq7, tau1 … tau7: 8 of 800 samples have numbers and a later stamp" in said
-    assert "stamps were taken from t [s], the key time of a mapping names others" in said
+    assert "stamps were taken from t [s]; the key time of a mapping names other stamps" in said
     assert "signals of other widths: a1 … a2" in said
     good = [TIME, motion["position"], motion["velocity"], motion["effort"], TIME, TIME**2]
     text = write(tmp_path / "log.csv", names, good).read_text().splitlines()
@@ -714,13 +714,13 @@ def test_robots_in_one_folder_are_imported_by_themselves(tmp_path: Path, motion:
     hits(tmp_path / "raw", motion, (0, 1))
     (tmp_path / "raw" / "IIWA_7_hit_1.csv").rename(tmp_path / "raw" / "UR_7_hit_1.csv")
     said = refusal(iiwa, tmp_path / "raw", tmp_path)
-    assert "of IIWA, UR: import the runs of each robot by themselves" in said
+    assert "of IIWA, UR: import the runs of each robot separately" in said
     hits(tmp_path / "alone", motion, (0,), "box")
     hits(tmp_path / "alone", motion, (1,), "cup")
     for run in (0, 1):  # no robot, but something else of every run
         (tmp_path / "alone" / f"IIWA_7_hit_{run}.csv").write_text("t,count\n0.0,1\n0.1,2\n0.2,3\n")
     said = refusal(draft_import, [tmp_path / "alone"], tmp_path / "lab", ImportOptions(robot="none"))
-    assert "of box, cup: import the runs of each object by themselves" in said
+    assert "of box, cup: import the runs of each object separately" in said
 
 
 def test_a_word_in_the_name_of_another_file_is_no_object(tmp_path: Path, motion: Columns) -> None:
