@@ -7,8 +7,8 @@ maximises the correlation of prediction x and stream y over their overlap,
 
     c(d) = sum_j |sum_t x_j(t) y_j(t - d)| / sqrt(sum_jt x_j(t)^2 sum_jt y_j(t - d)^2),
 
-where every column j is less its mean, over its size; around the maximum y = a x + b is fitted to every column by least
-squares. Objects do not move with the joints: in a hit the object starts to move when the joint velocities jump.
+where every column j is centred and divided by its norm; around the maximum y = a x + b is fitted to every column by
+least squares. Objects do not move with the joints: in a hit the object starts to move when the joint velocities jump.
 
 The standard error follows from least squares with residuals r, sigma_d^-2 = sum (a dx/dt)^2 / mean r^2 over samples and
 columns. It assumes independent residuals: friction, which lasts, makes it too small for torques.
@@ -41,8 +41,8 @@ FOUND_BY: dict[SignalName, str] = {
     "command": "the gravity torque at the positions",
 }
 OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
-MAX_START_DIFFERENCE = (0.010, 1.5)  # s, and periods of the pose, between the impact and the start of the object,
-MAX_START_SIGMA = 5.0  # and standard deviations
+MAX_START_DIFFERENCE = (0.010, 1.5)  # s, and periods of the pose, between the impact and the start of the object
+MAX_START_SIGMA = 5.0  # standard deviations between them
 MIN_OVERLAP_SHARE = 0.5  # of the shorter stream
 MIN_LAG_CORRELATION = 0.7  # from which an offset is accepted
 MIN_PEAK_DROP = 0.05  # from the highest to the second peak of the correlation; less is ambiguous
@@ -69,13 +69,13 @@ def on_one_clock(
     Raises:
         InputError: The motion does not determine an offset.
     """
-    moved = dict(series)
-    for name, one in series.items():
+    on_clock = dict(series)
+    for name, signal in series.items():
         if name in mapping.signals and mapping.signals[name].clock == "own" and name in FOUND_BY:
             expected = _expected(name, series["position"], model)
-            offset, error = offset_between(expected, one, path, f"signals.{name}.clock")
-            moved[name] = shifted(one, offset, error, FOUND_BY[name])
-    return moved
+            offset, error = offset_between(expected, signal, path, f"signals.{name}.clock")
+            on_clock[name] = shifted(signal, offset, error, FOUND_BY[name])
+    return on_clock
 
 
 def shifted_to_impact(path: Path, pose: Series, position: Series, key: str) -> Series:
@@ -104,9 +104,9 @@ def shifted_to_impact(path: Path, pose: Series, position: Series, key: str) -> S
 def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
     """Time at which an object that rests at first starts to move, and its standard error [s].
 
-    The displacement s along the motion is fitted by s = v (t - t_0) - a (t - t_0)^2 / 2 to the first samples that are
-    clear of the noise; t_0 is the last root of the parabola before the second of them, not before the last sample at
-    rest. The error is at most a period of the pose.
+    s = v (t - t_0) - a (t - t_0)^2 / 2 is fitted to the displacement s along the motion in the first samples beyond the
+    noise. t_0 is the last root of the parabola between the last sample at rest and the second sample in motion. The
+    error is at most a period of the pose.
 
     Args:
         pose: Position first, ``(k, 3 or more)``.
@@ -114,12 +114,12 @@ def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
         key: Key of the mapping, for messages.
 
     Raises:
-        InputError: It does not rest at first, or never moves.
+        InputError: The object does not rest at first, or never moves.
     """
-    place = pose.values[:, :3]
-    at_first = place[: max(MIN_REST_SAMPLES, place.shape[0] // 20)]
-    noise = _scatter_about_a_line(at_first) + MIN_TRACKER_NOISE_M
-    clear = np.linalg.norm(place - np.median(at_first, axis=0), axis=1) > MIN_MOTION_SIGMA * noise
+    position = pose.values[:, :3]
+    initial = position[: max(MIN_REST_SAMPLES, position.shape[0] // 20)]
+    noise = _scatter_about_a_line(initial) + MIN_TRACKER_NOISE_M
+    clear = np.linalg.norm(position - np.median(initial, axis=0), axis=1) > MIN_MOTION_SIGMA * noise
     steady = clear.copy()
     for later in range(1, MIN_MOVING_SAMPLES):
         steady[:-later] &= clear[later:]
@@ -130,22 +130,22 @@ def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
             "the object does not rest at first and move later, so its motion does not determine the offset of its "
             f"clock: set {_delay_of(key)} and remove clock", file=path, key=key, value="own",
         )  # fmt: skip
-    rest = np.median(place[max(0, first - 5 * MIN_REST_SAMPLES) : first - 1], axis=0)
+    rest_position = np.median(position[max(0, first - 5 * MIN_REST_SAMPLES) : first - 1], axis=0)
     rows = slice(first, first + FITTED_SAMPLES)
-    time, displacement = pose.time[rows], place[rows] - rest
+    time, displacement = pose.time[rows], position[rows] - rest_position
     direction = displacement[-1] / np.linalg.norm(displacement[-1])
     t, s = time - time[0], displacement @ direction
     design = np.column_stack((np.ones_like(t), t, t**2))
     parabola, covariance = np.linalg.lstsq(design, s, rcond=None)[0], np.linalg.inv(design.T @ design)
     roots = np.roots(parabola[::-1])
     real = roots[np.isreal(roots)].real
-    before = real[real < t[1]]
-    start = float(before.max()) if before.size else -float(parabola[0] / parabola[1])
+    candidates = real[real < t[1]]
+    start = float(candidates.max()) if candidates.size else -float(parabola[0] / parabola[1])
     start = float(np.clip(start, pose.time[first - 2] - time[0], t[1]))
-    at = np.array([1.0, start, start**2])
+    powers = np.array([1.0, start, start**2])
     speed = abs(float(parabola[1] + 2.0 * parabola[2] * start))
     scatter = max(float(np.sqrt(np.sum(np.square(s - design @ parabola)) / max(len(s) - 3, 1))), noise)
-    error = scatter * float(np.sqrt(at @ covariance @ at)) / max(speed, 1e-9)
+    error = scatter * float(np.sqrt(powers @ covariance @ powers)) / max(speed, 1e-9)
     return float(time[0] + start), min(error, float(t[1]))
 
 
@@ -154,11 +154,11 @@ def _delay_of(key: str) -> str:
     return f"{key.rpartition('.')[0]}.delay"
 
 
-def _scatter_about_a_line(place: Array) -> float:
+def _scatter_about_a_line(position: Array) -> float:
     """Standard deviation per axis of places ``(k, 3)`` about a constant velocity [m]."""
-    number = np.arange(len(place), dtype=float)
-    squares = np.polyfit(number, place, 1, full=True)[1]
-    return float(np.sqrt(np.sum(squares) / (place.shape[1] * max(len(place) - 2, 1))))
+    sample = np.arange(len(position), dtype=float)
+    residuals = np.polyfit(sample, position, 1, full=True)[1]
+    return float(np.sqrt(np.sum(residuals) / (position.shape[1] * max(len(position) - 2, 1))))
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class ClocksApart:
     """An object that does not move from rest when an arm hits it.
 
     Attributes:
-        offset: Start of the object less the impact of the arm; or between the first timestamps of both [s].
+        offset: Start of the object minus impact of the arm; or first timestamp of the object minus that of the arm [s].
         error: Its standard deviation [s]; None: the timestamps do not overlap.
     """
 
@@ -210,18 +210,18 @@ def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], pat
     nearest = min(jumps, key=lambda jump: abs(start - jump.time), default=None)
     if nearest is None:
         return None
-    offset, uncertain = start - nearest.time, float(np.hypot(error, nearest.time_error))
+    offset, offset_error = start - nearest.time, float(np.hypot(error, nearest.time_error))
     allowed = max(
         MAX_START_DIFFERENCE[0],
         MAX_START_DIFFERENCE[1] * float(np.median(np.diff(pose.time))),
-        MAX_START_SIGMA * uncertain,
+        MAX_START_SIGMA * offset_error,
     )
-    return ClocksApart(float(offset), uncertain) if abs(offset) > allowed else None
+    return ClocksApart(float(offset), offset_error) if abs(offset) > allowed else None
 
 
 def shifted(series: Series, offset: float, error: float, found_by: str) -> Series:
     """A signal with its timestamps shifted by an offset [s], and a warning about it."""
-    words = "{}: clock of its own; stamps moved by {:+.6g} s (+- {:.2g} ms), by {}"
+    words = "{}: on another clock; stamps moved by {:+.6g} s (+- {:.2g} ms), by {}"
     warning = remark(words, series.label, offset, 1e3 * error, found_by)
     return replace(series, time=series.time + offset, remarks=(*series.remarks, warning))
 
@@ -238,8 +238,8 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
     Raises:
         InputError: No offset, or several, fit.
     """
-    period = max(float(np.median(np.diff(one.time))) for one in (expected, measured)) / 2.0
-    first, second = (_evenly(one, period) for one in (expected, measured))
+    period = max(float(np.median(np.diff(series.time))) for series in (expected, measured)) / 2.0
+    first, second = (_evenly(series, period) for series in (expected, measured))
     if max(len(first), len(second)) > MAX_GRID_SAMPLES:
         raise InputError(f"streams of more than {MAX_GRID_SAMPLES} samples; cut them first", file=path, key=key)
     correlation, lags, overlap = cross_correlation(first, second)
@@ -247,25 +247,25 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
     correlation = np.where(allowed, correlation, 0.0)
     best = int(np.argmax(correlation))
     width = _peak_width(correlation, best)
-    beside = np.abs(np.arange(correlation.size) - best) > width
-    second_best = float(np.max(correlation[beside], initial=0.0))
-    if correlation[best] < MIN_LAG_CORRELATION or second_best > correlation[best] - MIN_PEAK_DROP:
+    off_peak = np.abs(np.arange(correlation.size) - best) > width
+    second_peak = float(np.max(correlation[off_peak], initial=0.0))
+    if correlation[best] < MIN_LAG_CORRELATION or second_peak > correlation[best] - MIN_PEAK_DROP:
         raise InputError(
             f"the motion does not determine the offset of this clock (correlation {correlation[best]:.2f}, elsewhere "
-            f"{second_best:.2f}; expected at least {MIN_LAG_CORRELATION} at one lag): set {_delay_of(key)} and remove "
+            f"{second_peak:.2f}; expected at least {MIN_LAG_CORRELATION} at one lag): set {_delay_of(key)} and remove "
             "clock",
             file=path,
             key=key,
             value="own",
         )
-    near = float(expected.time[0] - measured.time[0] + lags[best] * period)
-    fitted = scipy.optimize.minimize_scalar(
+    initial_offset = float(expected.time[0] - measured.time[0] + lags[best] * period)
+    minimum = scipy.optimize.minimize_scalar(
         lambda offset: misfit(expected, measured, offset)[0],
-        bounds=(near - REFINED_SAMPLES * period, near + REFINED_SAMPLES * period),
+        bounds=(initial_offset - REFINED_SAMPLES * period, initial_offset + REFINED_SAMPLES * period),
         method="bounded",
         options={"xatol": 1e-7},
     )
-    return float(fitted.x), misfit(expected, measured, float(fitted.x))[1]
+    return float(minimum.x), misfit(expected, measured, float(minimum.x))[1]
 
 
 def misfit(expected: Series, measured: Series, offset: float) -> tuple[float, float]:
@@ -279,14 +279,14 @@ def misfit(expected: Series, measured: Series, offset: float) -> tuple[float, fl
     time = measured.time + offset
     rows = (time >= expected.time[0]) & (time <= expected.time[-1])
     x, y = expected.at(time[rows]), measured.values[rows]
-    steep = np.gradient(x, time[rows], axis=0)
+    derivative = np.gradient(x, time[rows], axis=0)
     x, y = x - x.mean(axis=0), y - y.mean(axis=0)
     line = fit(x, y)
-    slope, left = line.factor, line.misfit / len(y)
-    moves = np.ptp(y, axis=0) > 0.0
-    share = left[moves] / np.maximum(np.var(y[:, moves], axis=0), 1e-300)
-    known = np.sum(np.square(slope * steep), axis=0)[moves] / np.maximum(left[moves], 1e-300)
-    return float(np.mean(share)), float(1.0 / np.sqrt(max(float(np.sum(known)), 1e-300)))
+    slope, mean_square = line.factor, line.misfit / len(y)
+    changing = np.ptp(y, axis=0) > 0.0
+    unexplained = mean_square[changing] / np.maximum(np.var(y[:, changing], axis=0), 1e-300)
+    information = np.sum(np.square(slope * derivative), axis=0)[changing] / np.maximum(mean_square[changing], 1e-300)
+    return float(np.mean(unexplained)), float(1.0 / np.sqrt(max(float(np.sum(information)), 1e-300)))
 
 
 def _expected(name: SignalName, position: Series, model: RobotModel) -> Series:
@@ -299,7 +299,7 @@ def _expected(name: SignalName, position: Series, model: RobotModel) -> Series:
 
 
 def _evenly(series: Series, period: float) -> Array:
-    """Columns on an even grid, each minus its mean, ``(m, c)``."""
+    """Columns on an even grid, centred, ``(m, c)``."""
     grid = np.arange(series.time[0], series.time[-1], period)
     values = series.at(grid)
     return np.asarray(values - values.mean(axis=0))

@@ -6,15 +6,15 @@ Joint positions are continuous and their velocities jump. With T the time of the
     q(t) = q_0 + dq_minus (t - T) + c_minus (t - T)^2 / 2                                         t <= T
     q(t) = q_0 + dq_plus  (t - T) + c_plus  (t - T)^2 / 2                                         t >  T
 
-in a window about it, linear except for T. A recorded velocity is often low-passed and jumps some 10 ms later; an
-encoder is not. So the jump dq_plus - dq_minus is fitted about every time of the run; the largest one beyond its noise
-is the impact. There T maximises the likelihood of the residuals r of all joints, each with its own scatter,
+in a window about it, linear except for T. A recorded velocity is often low-passed and jumps some 10 ms later; the
+reading of an encoder is not. So the jump dq_plus - dq_minus is fitted at every time of the run; the largest jump beyond
+its noise is the impact. T maximises the likelihood of the residuals r of all joints, each with a different scatter,
 
     T = argmin sum_j log sum_k r_jk(T)^2,      sigma_T^-2 = sum_j |(1 - B B^+) dq_j/dT|^2 / sigma_j^2
 
 with B the columns of the linear parameters and sigma_j the scatter of joint j. The noise of a jump includes the error
-of T. Arms vibrate after an impact, and a vibration may bend the motion more than the impact did. So T is sought at the
-largest ratio of the jump to the scatter of the motion before it.
+of T. Arms vibrate after an impact, and a vibration may change velocities more than the impact did. So T is sought at
+the largest ratio of the jump to the scatter of the motion before it.
 """
 
 from __future__ import annotations
@@ -96,18 +96,18 @@ def jumps_of(position: Series, least: float = 0.0) -> Iterator[JointJump]:
         position: q, ``(k, n)`` [rad].
         least: Smallest size of a further jump over the largest one [-].
     """
-    kept = np.isfinite(position.values).all(axis=1) & (np.diff(position.time, prepend=-np.inf) > 0.0)
-    position = replace(position, time=position.time[kept], values=position.values[kept])
+    usable = np.isfinite(position.values).all(axis=1) & (np.diff(position.time, prepend=-np.inf) > 0.0)
+    position = replace(position, time=position.time[usable], values=position.values[usable])
     half, times, sizes, onset = _sizes(position)
-    enough = least * float(np.max(sizes, initial=0.0))
-    found: list[JointJump] = []
-    while sizes.size and float(np.max(sizes)) > enough:
-        about = np.abs(times - times[int(np.argmax(sizes))]) <= half
-        jump = joint_jump(position, float(times[int(np.argmax(np.where(about, onset, -1.0)))]))
-        if jump is not None and jump.clear and all(abs(jump.time - one.time) > half for one in found):
-            found.append(jump)
+    min_size = least * float(np.max(sizes, initial=0.0))
+    jumps: list[JointJump] = []
+    while sizes.size and float(np.max(sizes)) > min_size:
+        nearby = np.abs(times - times[int(np.argmax(sizes))]) <= half
+        jump = joint_jump(position, float(times[int(np.argmax(np.where(nearby, onset, -1.0)))]))
+        if jump is not None and jump.clear and all(abs(jump.time - earlier.time) > half for earlier in jumps):
+            jumps.append(jump)
             yield jump
-        sizes = np.where(about, 0.0, sizes)
+        sizes = np.where(nearby, 0.0, sizes)
 
 
 def joint_jump(position: Series, near: float) -> JointJump | None:
@@ -125,18 +125,18 @@ def joint_jump(position: Series, near: float) -> JointJump | None:
         if time.size < 2 * MIN_WINDOW_SAMPLES or near - time[0] < half / 2.0 or time[-1] - near < half / 2.0:
             return None
 
-        def misfit(beside: float, at: Array = time - near, values: Array = values) -> float:
-            left = np.mean(np.square(_broken(at, values, beside)[1]), axis=0)
-            return float(np.sum(np.log(left + MIN_SCATTER_RAD**2)))
+        def misfit(shift: float, at: Array = time - near, values: Array = values) -> float:
+            mean_square = np.mean(np.square(_broken(at, values, shift)[1]), axis=0)
+            return float(np.sum(np.log(mean_square + MIN_SCATTER_RAD**2)))
 
-        tried = np.linspace(-reach, reach, SEARCHED_TIMES)
-        best = int(np.argmin([misfit(float(beside)) for beside in tried]))
+        shifts = np.linspace(-reach, reach, SEARCHED_TIMES)
+        best = int(np.argmin([misfit(float(shift)) for shift in shifts]))
         if 0 < best < SEARCHED_TIMES - 1:
-            fitted = scipy.optimize.minimize_scalar(
-                misfit, bounds=(tried[best - 1], tried[best + 1]), method="bounded", options={"xatol": 1e-6}
+            minimum = scipy.optimize.minimize_scalar(
+                misfit, bounds=(shifts[best - 1], shifts[best + 1]), method="bounded", options={"xatol": 1e-6}
             )
-            return _at(time, values, near + float(fitted.x), half)
-        near += float(tried[best])
+            return _at(time, values, near + float(minimum.x), half)
+        near += float(shifts[best])
     return None
 
 
@@ -157,25 +157,26 @@ def jump_at(position: Series, impact: float, error: float) -> JointJump | None:
 
 
 def _at(time: Array, values: Array, impact: float, half: float, error: float | None = None) -> JointJump:
-    """Fit and standard deviations at the time of the impact, found by the fit or known with an error."""
+    """Fit and standard deviations at the time of the impact; ``error`` [s]: of a known time, None: a fitted time."""
     inside = np.abs(time - impact) <= half
     t = time[inside] - impact
-    fit, residual = _broken(time[inside], values[inside], impact)
+    coefficients, residual = _broken(time[inside], values[inside], impact)
     basis = _basis(t)
     inverse = np.linalg.pinv(basis)
     scatter = np.maximum(np.sqrt(np.sum(residual**2, axis=0) / max(t.size - FITTED_PARAMETERS - 1, 1)), MIN_SCATTER_RAD)
-    moves = -np.where(t[:, None] <= 0.0, fit[1] + np.outer(t, fit[3]), fit[2] + np.outer(t, fit[4]))  # dq/dT
-    known = float(np.sum(np.square((moves - basis @ (inverse @ moves)) / scatter)))
-    time_error = min(1.0 / np.sqrt(max(known, MIN_SCATTER_RAD)), half) if error is None else error
+    before, after = (coefficients[side] + np.outer(t, coefficients[side + 2]) for side in (1, 2))  # dq/dt
+    sensitivity = -np.where(t[:, None] <= 0.0, before, after)  # dq/dT
+    information = float(np.sum(np.square((sensitivity - basis @ (inverse @ sensitivity)) / scatter)))
+    time_error = min(1.0 / np.sqrt(max(information, MIN_SCATTER_RAD)), half) if error is None else error
     noise = np.hypot(
         scatter * np.linalg.norm(JUMP_OF_PARAMETERS @ inverse),
-        np.abs(JUMP_OF_PARAMETERS @ inverse @ moves) * time_error,
+        np.abs(JUMP_OF_PARAMETERS @ inverse @ sensitivity) * time_error,
     )
-    return JointJump(impact, float(time_error), fit[0], fit[1], fit[2], noise)
+    return JointJump(impact, float(time_error), coefficients[0], coefficients[1], coefficients[2], noise)
 
 
 def _sizes(position: Series) -> tuple[float, Array, Array, Array]:
-    """Half a window [s]; times, sizes of the jumps [rad/s], and their ratios to the scatter before them."""
+    """Half a window [s]; times ``(p,)`` [s], norms of the jumps [rad/s]; mean squared ratio to scatter before."""
     time, values = position.time, position.values
     period = float(np.median(np.diff(time))) if time.size > 1 else 1.0
     half = _half(period)
@@ -187,31 +188,37 @@ def _sizes(position: Series) -> tuple[float, Array, Array, Array]:
     fits = [_windows(time, values, part, side) for part in np.array_split(middles, 1 + middles.size // WINDOWS_PER_FIT)]
     jump, scatter, before, gain = (np.concatenate(parts) for parts in zip(*fits, strict=True))
     steps = np.abs(np.diff(values, n=2, axis=0))
-    coarse = np.min(np.where(steps > 0.0, steps, np.inf), axis=0) / np.sqrt(12.0)  # an encoder rounds
-    usual = np.maximum(
-        np.maximum(np.median(scatter, axis=0), np.where(np.isfinite(coarse), coarse, 0.0)), MIN_SCATTER_RAD
+    rounding = np.min(np.where(steps > 0.0, steps, np.inf), axis=0) / np.sqrt(12.0)  # an encoder rounds
+    usual_scatter = np.maximum(
+        np.maximum(np.median(scatter, axis=0), np.where(np.isfinite(rounding), rounding, 0.0)), MIN_SCATTER_RAD
     )
-    noise = gain[:, None] * np.maximum(scatter, usual)
-    onset = np.mean(np.square(jump / gain[:, None] / np.maximum(before, usual)), axis=1)
+    noise = gain[:, None] * np.maximum(scatter, usual_scatter)
+    onset = np.mean(np.square(jump / gain[:, None] / np.maximum(before, usual_scatter)), axis=1)
     clear = np.mean(np.square(jump / noise), axis=1) > MIN_JUMP_SIGMA**2
     return half, time[middles], np.where(clear, np.linalg.norm(jump, axis=1), 0.0), onset
 
 
 def _windows(time: Array, values: Array, middles: Rows, side: int) -> tuple[Array, Array, Array, Array]:
-    """Jumps ``(p, n)`` [rad/s], scatter of all and of before, ``(p, n)`` [rad], noise over scatter, ``(p,)`` [1/s]."""
+    """Jumps in windows about rows ``middles``.
+
+    Returns:
+        Jumps ``(p, n)`` [rad/s]; scatter in the window, and before its middle, ``(p, n)`` [rad]; noise of the jump over
+        scatter, ``(p,)`` [1/s].
+    """
     rows = middles[:, None] + np.arange(-side, side + 1)
     t = time[rows] - time[middles][:, None]
     size = np.max(np.abs(t), axis=1)
     basis = _basis(t / size[:, None])
     inverse = np.linalg.pinv(basis)
-    about = values[rows] - values[middles][:, None]
-    fit = inverse @ about
-    left = np.sum(np.square(about - basis @ fit), axis=1) / max(rows.shape[1] - FITTED_PARAMETERS, 1)
-    early = basis[:, : side + 1][:, :, [0, 1, 3]]
-    own = about[:, : side + 1]
-    rest = np.sum(np.square(own - early @ (np.linalg.pinv(early) @ own)), axis=1) / max(side - 2, 1)
+    relative = values[rows] - values[middles][:, None]
+    coefficients = inverse @ relative
+    variance = np.sum(np.square(relative - basis @ coefficients), axis=1) / max(rows.shape[1] - FITTED_PARAMETERS, 1)
+    early_basis = basis[:, : side + 1][:, :, [0, 1, 3]]
+    early_values = relative[:, : side + 1]
+    early_residuals = early_values - early_basis @ (np.linalg.pinv(early_basis) @ early_values)
+    early_variance = np.sum(np.square(early_residuals), axis=1) / max(side - 2, 1)
     gain = np.linalg.norm(JUMP_OF_PARAMETERS @ inverse, axis=1) / size
-    return JUMP_OF_PARAMETERS @ fit / size[:, None], np.sqrt(left), np.sqrt(rest), gain
+    return JUMP_OF_PARAMETERS @ coefficients / size[:, None], np.sqrt(variance), np.sqrt(early_variance), gain
 
 
 def _half(period: float) -> float:
@@ -227,5 +234,5 @@ def _basis(t: Array) -> Array:
 def _broken(time: Array, values: Array, impact: float) -> tuple[Array, Array]:
     """Coefficients of two parabolas that meet at the impact, ``(5, n)``, and residuals."""
     basis = _basis(time - impact)
-    fit = np.asarray(np.linalg.lstsq(basis, values, rcond=None)[0], dtype=float)
-    return fit, values - basis @ fit
+    coefficients = np.asarray(np.linalg.lstsq(basis, values, rcond=None)[0], dtype=float)
+    return coefficients, values - basis @ coefficients

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plausibility of a laboratory's signals: consistency with arm, object and frames of its scenario.
 
-Implausible signals are refused; the message has the number that shows it and the most likely mistake.
+Implausible signals are refused; the message states the contradicting number and the most likely mistake.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MAX_TILT_RAD = np.deg2rad(5.0)  # rad
 MIN_PUSHED_M = 0.002  # of an object that the arm pushed
 MAX_TOUCH_DISTANCE_M = 0.05  # between pad and object at their nearest
 MIN_REPORTED_DISTANCE_M = 0.005
-MIN_GRAVITY_TORQUE_NM = 1.0  # rms, that can be noticed in the torques of a Franka arm
+MIN_GRAVITY_TORQUE_NM = 1.0  # rms, noticeable in the torques of a Franka arm
 GRAVITY_SAMPLES = 200  # in which the gravity torque is compared
 
 
@@ -53,7 +53,7 @@ def check_gravity_torque(path: Path, name: str, model: RobotModel, position: Arr
         remedy: Likely mistake.
 
     Raises:
-        InputError: They do not.
+        InputError: The ratio of torque to gravity torque is not about 1.
     """
     rows = evenly(len(position), GRAVITY_SAMPLES)
     gravity = gravity_torques(model, position[rows])
@@ -88,27 +88,28 @@ def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Arra
         Warnings to the user.
 
     Raises:
-        InputError: It does not.
+        InputError: The object is above or below the support, or out of reach.
     """
     centre = np.median(pose[time <= time[0] + FIRST_POSE_S, :3], axis=0)
     rotation = pin.Quaternion(pose[0, 3:]).matrix()
     height = height_on_support(scenario, name, rotation)
-    where = f"the centre of {name!r} is first at {np.round(centre, 3).tolist()} m"
+    location = f"the centre of {name!r} is first at {np.round(centre, 3).tolist()} m"
     remedy = "pose in another frame or unit? motion_capture in the experiment file says where its world is"
     if abs(centre[2] - height) > HEIGHT_TOLERANCE_M:
         raise InputError(
-            f"{where}, expected {height:.3f} m high on the support ({centre[2] - height:+.3f} m off): {remedy}",
+            f"{location}, expected {height:.3f} m high on the support ({centre[2] - height:+.3f} m off): {remedy}",
             file=path,
         )
     distance = float(np.linalg.norm(centre - np.array(scenario.robots[arm].base.position)))
     if distance > MAX_REACH_M:
         raise InputError(
-            f"{where}, {distance:.2f} m from the base of arm {arm!r}, expected less than {MAX_REACH_M:g} m: {remedy}",
+            f"{location}, {distance:.2f} m from the base of arm {arm!r}, expected less than {MAX_REACH_M:g} m: "
+            f"{remedy}",
             file=path,
         )
     remarks = []
-    upwards = np.abs(rotation[2])
-    if np.argmax(upwards) != 2 or np.arccos(min(1.0, float(upwards[2]))) > MAX_TILT_RAD:
+    vertical = np.abs(rotation[2])
+    if np.argmax(vertical) != 2 or np.arccos(min(1.0, float(vertical[2]))) > MAX_TILT_RAD:
         remarks.append(
             f"the z axis of {name!r} does not point up at first: motion_capture.bodies says how it lies in the tracked "
             "frame"
@@ -133,31 +134,31 @@ def check_touch(path: Path, model: RobotModel, name: str, size: Array, position:
         Warnings to the user.
 
     Raises:
-        InputError: They do not meet.
+        InputError: Pad and object do not touch.
     """
     distances = []
-    for q, placed in zip(position, pose, strict=True):
-        seen = pin.XYZQUATToSE3(placed).actInv(model.placement(q).translation)
-        beyond = np.abs(seen) - size / 2.0
-        distances.append(float(np.linalg.norm(np.maximum(beyond, 0.0)) + min(float(np.max(beyond)), 0.0)))
+    for q, placement in zip(position, pose, strict=True):
+        pad_in_object = pin.XYZQUATToSE3(placement).actInv(model.placement(q).translation)
+        outside = np.abs(pad_in_object) - size / 2.0
+        distances.append(float(np.linalg.norm(np.maximum(outside, 0.0)) + min(float(np.max(outside)), 0.0)))
     nearest = min(distances)
-    beside = max(model.end_effector.pad_size[:2]) / 2.0  # an edge of the pad may hit while its middle passes by
-    if -MAX_TOUCH_DISTANCE_M < nearest < MAX_TOUCH_DISTANCE_M + beside:
+    half_pad = max(model.end_effector.pad_size[:2]) / 2.0  # an edge of the pad may hit while its middle passes by
+    if -MAX_TOUCH_DISTANCE_M < nearest < MAX_TOUCH_DISTANCE_M + half_pad:
         if abs(nearest) < MIN_REPORTED_DISTANCE_M:
             return []
-        how = "short of" if nearest > 0.0 else "inside"
+        side = "short of" if nearest > 0.0 else "inside"
         words = (
             "where they are nearest, the middle of the pad is {:.1f} mm {} {}: motion capture and robot disagree by "
             "that much, or their clocks do; or another object is hit, or only by an edge"
         )
-        return [remark(words, 1e3 * abs(nearest), how, repr(name))]
-    how = (
+        return [remark(words, 1e3 * abs(nearest), side, repr(name))]
+    approach = (
         f"never comes nearer to {name!r} than {nearest:.3f} m"
         if nearest > 0.0
         else f"is {-nearest:.3f} m inside {name!r}"
     )
     raise InputError(
-        f"the pad {how}: pose in another frame (motion_capture in the experiment file says where its world is), of "
-        "another body or on another clock?",
+        f"the pad {approach}: pose in another frame (motion_capture in the experiment file says where its world is), "
+        "of another body or on another clock?",
         file=path,
     )

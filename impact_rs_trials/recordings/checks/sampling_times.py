@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Test whether samples were taken at their timestamps, by the common timing error of all joints.
 
-A sample that was taken later by d lies off the smooth motion by d times the velocity, in every joint. From the cubic
-polynomial through its four neighbours, which a smooth motion hardly leaves, it is by
+A sample that was taken later by d deviates from the smooth motion by d times the velocity, in every joint. Its residual
+from the cubic polynomial through its four neighbours, which fits smooth motions, is
 
     r_i = q_i - sum_k q_k prod_{l != k} (t_i - t_l) / (t_k - t_l) = d_i dq_i + noise,    k, l in i-2, i-1, i+1, i+2
 
-away. Over the noise of each joint, r has a part along dq and n - 1 parts across it. Noise has as much power along
-dq as in any other direction; errors of the timestamps have all of theirs there.
+Over the noise of each joint, r has a component along dq and n - 1 components across it. Noise has the same power in all
+of them; errors of the timestamps have power along dq alone.
 """
 
 from __future__ import annotations
@@ -34,22 +34,23 @@ def timestamp_warning(time: Array, position: Array) -> str | None:
     if count < 2 or time.size < MIN_TIMESTAMPS:
         return None
     period = float(np.median(np.diff(time)))
-    off = _off_its_neighbours(time, position)
+    residual = _residual_from_neighbours(time, position)
     velocity = np.gradient(position, time, axis=0)[2:-2]
     steps = np.diff(time)
-    held = np.all(np.diff(position, axis=0) == 0.0, axis=1) | (np.abs(steps / period - 1.0) > 0.5)
-    usable = ~np.any([held[first : held.size - 3 + first] for first in range(4)], axis=0)  # no gap, no repeated sample
+    excluded = np.all(np.diff(position, axis=0) == 0.0, axis=1) | (np.abs(steps / period - 1.0) > 0.5)
+    windows = [excluded[first : excluded.size - 3 + first] for first in range(4)]
+    usable = ~np.any(windows, axis=0)  # no gap, no repeated sample
     if np.count_nonzero(usable) < MIN_TIMESTAMPS:
         return None
-    off, velocity = off[usable], velocity[usable]
-    late = np.zeros(len(off))
-    for _ in range(3):  # noise of the joints is that about the common error
-        noise = np.sqrt(np.mean(np.square(off - late[:, None] * velocity), axis=0)) + 1e-12
-        r, v = off / noise, velocity / noise
-        late = np.sum(r * v, axis=1) / np.maximum(np.sum(np.square(v), axis=1), 1e-300)
-    along = np.square(late) * np.sum(np.square(v), axis=1)
+    residual, velocity = residual[usable], velocity[usable]
+    delay = np.zeros(len(residual))
+    for _ in range(3):  # noise of a joint: scatter about the common error
+        noise = np.sqrt(np.mean(np.square(residual - delay[:, None] * velocity), axis=0)) + 1e-12
+        r, v = residual / noise, velocity / noise
+        delay = np.sum(r * v, axis=1) / np.maximum(np.sum(np.square(v), axis=1), 1e-300)
+    along = np.square(delay) * np.sum(np.square(v), axis=1)
     across = (np.sum(np.square(r), axis=1) - along) / (count - 1)
-    error = float(np.sqrt(np.mean(np.square(late)))) / RMS_PER_PERIOD_ERROR
+    error = float(np.sqrt(np.mean(np.square(delay)))) / RMS_PER_PERIOD_ERROR
     if np.mean(along) < MIN_POWER_RATIO * np.mean(across) or error < MIN_JITTER_PERIODS * period:
         return None
     if np.max(np.abs(steps / period - np.round(steps / period))) < MAX_ROUNDING_PERIODS:  # lost rows: whole periods
@@ -65,16 +66,16 @@ def timestamp_warning(time: Array, position: Array) -> str | None:
     )
 
 
-def _off_its_neighbours(time: Array, position: Array) -> Array:
+def _residual_from_neighbours(time: Array, position: Array) -> Array:
     """Residual of every sample from the cubic polynomial through its four neighbours, ``(k - 4, n)`` [rad]."""
     ends = [(first, time.size - 4 + first) for first in range(5)]
-    middle, *others = (ends[place] for place in (2, 0, 1, 3, 4))
-    t = time[slice(*middle)]
-    off = position[slice(*middle)].copy()
-    for own in others:
+    centre, *neighbours = (ends[index] for index in (2, 0, 1, 3, 4))
+    t = time[slice(*centre)]
+    residual = position[slice(*centre)].copy()
+    for k in neighbours:
         weight = np.ones(t.size)
-        for other in others:
-            if other != own:
-                weight *= (t - time[slice(*other)]) / (time[slice(*own)] - time[slice(*other)])
-        off -= weight[:, None] * position[slice(*own)]
-    return np.asarray(off)
+        for l in neighbours:  # noqa: E741 (as in the equation above)
+            if l != k:
+                weight *= (t - time[slice(*l)]) / (time[slice(*k)] - time[slice(*l)])
+        residual -= weight[:, None] * position[slice(*k)]
+    return np.asarray(residual)

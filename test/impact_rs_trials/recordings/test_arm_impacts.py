@@ -174,7 +174,7 @@ def test_a_low_passed_velocity_moves_no_impact(laboratory: LaboratoryFolder, cut
 def test_an_offset_of_clocks_is_within_its_uncertainty(laboratory: LaboratoryFolder, seconds: float) -> None:
     late(laboratory, seconds, own=True)
     found = impacts_in(laboratory)
-    (said,) = (remark for remark in found.remarks if "clock of its own" in remark)
+    (said,) = (remark for remark in found.remarks if "on another clock" in remark)
     moved = said.partition("moved by ")[2].split()
     offset, error = float(moved[0]), 1e-3 * float(moved[3])
     if abs(seconds) < 100.0:  # of a day six digits are said

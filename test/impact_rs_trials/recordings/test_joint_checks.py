@@ -181,7 +181,7 @@ def test_rows_that_are_repeated_are_named_with_the_true_rate(signals: tuple[str,
     found = said_of(columns["position"], columns["velocity"], columns["effort"])
     (doubt,) = (text for text in found if " behind " not in text)  # numbers that are held are late as well
     assert doubt.startswith(f"{', '.join('torque' if name == 'effort' else name for name in signals)} of all joints")
-    assert "every number stands 3 times, as if measured at 66.7 Hz and written at 200 Hz" in doubt
+    assert "every number occurs 3 times, as if measured at 66.7 Hz and written at 200 Hz" in doubt
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2])
