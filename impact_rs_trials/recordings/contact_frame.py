@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Least-squares pose of the motion-capture frame in A, from contact alone: at a hit the pad lies on an object's face.
+"""Least-squares pose of the motion-capture frame in A, from contact: at a hit the pad lies on a face of the object.
 
 The object is at p with axes R_p in the motion-capture frame; that frame is at t and rotated by psi about z in A. The
 centre of the pad is at c with normal m in A, n is the outward normal of the face that is hit, and h half the size of
@@ -77,7 +77,7 @@ class ContactFrame:
         scatter: Distance between pad and face, rms over the hits [m].
         tilt: Angle between pad and face, rms over the hits [rad].
         hits: Number of hits.
-        kept: Undetermined direction in A, along which the position keeps its given value, ``(2,)``; None: determined.
+        undetermined: Direction in A along which the position keeps its given value, ``(2,)``; None: all determined.
     """
 
     position: Array
@@ -86,7 +86,7 @@ class ContactFrame:
     scatter: float
     tilt: float
     hits: int
-    kept: Array | None
+    undetermined: Array | None
 
     def __str__(self) -> str:
         x, y, z = self.position
@@ -96,11 +96,12 @@ class ContactFrame:
             f"rad; pad and face are then {1e3 * self.scatter:.1f} mm and {np.rad2deg(self.tilt):.1f} degrees rms from "
             "touching"
         )
-        if self.kept is None:
+        if self.undetermined is None:
             return placed
+        x, y = self.undetermined
         return (
-            f"{placed}; along [{self.kept[0]:.2f}, {self.kept[1]:.2f}] the position stays as given, for all hits are "
-            "across that direction and do not determine it"
+            f"{placed}; along [{x:.2f}, {y:.2f}] the position stays as given: all hits are across that direction and "
+            "do not determine it"
         )
 
 
@@ -118,33 +119,34 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
     if not touches:
         raise InputError("motion_capture.estimate: no hit has both joint positions and a pose of the object")
     height = float(np.mean([touch.standing - touch.standing_height for touch in touches]))
-    found = _first(touches, given_yaw)
+    estimate = _first(touches, given_yaw)
     weights = np.tile([1.0 / DISTANCE_SIGMA_M, 1.0 / ANGLE_SIGMA_RAD], len(touches))
     for _ in range(MAX_GAUSS_NEWTON_STEPS):
-        before = found.copy()
-        kept = _undetermined(weights[:, None] * _residuals(touches, found)[1])
-        free = np.eye(3) if kept is None else np.array([[-kept[1], kept[0], 0.0], [0.0, 0.0, 1.0]]).T
-        if kept is not None:
-            found[:2] += kept * (kept @ (given[:2] - found[:2]))
-        values, slopes = _residuals(touches, found)
-        design = weights[:, None] * slopes @ free
-        found = found + free @ np.linalg.lstsq(design, -weights * values, rcond=None)[0]
-        if np.max(np.abs(found - before)) < CONVERGED_STEP:
+        previous = estimate.copy()
+        undetermined = _undetermined(weights[:, None] * _residuals(touches, estimate)[1])
+        directions = np.eye(3)
+        if undetermined is not None:
+            directions = np.array([[-undetermined[1], undetermined[0], 0.0], [0.0, 0.0, 1.0]]).T
+            estimate[:2] += undetermined * (undetermined @ (given[:2] - estimate[:2]))
+        values, jacobian = _residuals(touches, estimate)
+        design = weights[:, None] * jacobian @ directions
+        estimate = estimate + directions @ np.linalg.lstsq(design, -weights * values, rcond=None)[0]
+        if np.max(np.abs(estimate - previous)) < CONVERGED_STEP:
             break
-    values, slopes = _residuals(touches, found)
-    # Two residuals per hit, less the estimated parameters; the standard deviations above are a lower bound.
-    freedom = max(1, values.size - free.shape[1])
-    spread = max(1.0, float(np.sum(np.square(weights * values))) / freedom)
-    design = weights[:, None] * slopes @ free
-    covariance = free @ np.linalg.inv(design.T @ design) @ free.T * spread
+    values, jacobian = _residuals(touches, estimate)
+    # Two residuals per hit minus the estimated parameters. DISTANCE_SIGMA_M and ANGLE_SIGMA_RAD are a lower bound.
+    degrees_of_freedom = max(1, values.size - directions.shape[1])
+    reduced_chi_square = max(1.0, float(np.sum(np.square(weights * values))) / degrees_of_freedom)
+    design = weights[:, None] * jacobian @ directions
+    covariance = directions @ np.linalg.inv(design.T @ design) @ directions.T * reduced_chi_square
     return ContactFrame(
-        position=np.array([found[0], found[1], height]),
-        yaw=float(np.arctan2(np.sin(found[2]), np.cos(found[2]))),
+        position=np.array([estimate[0], estimate[1], height]),
+        yaw=float(np.arctan2(np.sin(estimate[2]), np.cos(estimate[2]))),
         error=np.sqrt(np.diag(covariance)),
         scatter=float(np.sqrt(np.mean(np.square(values[0::2])))),
         tilt=float(np.sqrt(np.mean(np.square(values[1::2])))),
         hits=len(touches),
-        kept=kept,
+        undetermined=undetermined,
     )
 
 
@@ -162,7 +164,7 @@ def _undetermined(slopes: Array) -> Array | None:
 
 
 def _first(touches: Sequence[PadOnFace], given_yaw: float) -> Array:
-    """Initial x, y and yaw: objects move with the pads, and every pad is at the centre of its face."""
+    """Initial x, y [m] and yaw [rad]: objects move with the pads, and every pad is at the centre of its face."""
     yaw = given_yaw
     if sum(float(np.linalg.norm(touch.object_displacement)) for touch in touches) > MIN_TOTAL_PUSH_M:
         cosine = sum(float(touch.object_displacement @ touch.pad_displacement) for touch in touches)
@@ -174,38 +176,38 @@ def _first(touches: Sequence[PadOnFace], given_yaw: float) -> Array:
             for touch in touches
         )
         yaw = float(np.arctan2(sine, cosine))
-    turn = pin.rpy.rpyToMatrix(0.0, 0.0, yaw)
-    places = []
+    rotation = pin.rpy.rpyToMatrix(0.0, 0.0, yaw)
+    positions = []
     for touch in touches:
-        normal, half = _face(touch, turn)
-        places.append(np.mean(touch.pad - half * normal - touch.position @ turn.T, axis=0))
-    return np.append(np.mean(places, axis=0)[:2], yaw)
+        normal, half = _face(touch, rotation)
+        positions.append(np.mean(touch.pad - half * normal - touch.position @ rotation.T, axis=0))
+    return np.append(np.mean(positions, axis=0)[:2], yaw)
 
 
-def _residuals(touches: Sequence[PadOnFace], found: Array) -> tuple[Array, Array]:
+def _residuals(touches: Sequence[PadOnFace], estimate: Array) -> tuple[Array, Array]:
     """Distance [m] and angle [rad] of every impact, ``(2 h,)``, and their derivatives by x, y and yaw, ``(2 h, 3)``."""
-    turn = pin.rpy.rpyToMatrix(0.0, 0.0, float(found[2]))
-    values, slopes = [], []
+    rotation = pin.rpy.rpyToMatrix(0.0, 0.0, float(estimate[2]))
+    values, jacobian = [], []
     for touch in touches:
-        normal, half = _face(touch, turn)
-        beyond = touch.pad[:, :2] - found[:2]
-        reach = np.einsum("ki,ki->k", normal, touch.pad - (turn @ touch.position.T).T)
-        distance = reach - normal[:, :2] @ found[:2] - half
+        normal, half = _face(touch, rotation)
+        offset = touch.pad[:, :2] - estimate[:2]
+        projection = np.einsum("ki,ki->k", normal, touch.pad - (rotation @ touch.position.T).T)
+        distance = projection - normal[:, :2] @ estimate[:2] - half
         facing = -touch.pad_normal
         angle = np.arctan2(
             facing[:, 0] * normal[:, 1] - facing[:, 1] * normal[:, 0],
             np.einsum("ki,ki->k", facing[:, :2], normal[:, :2]),
         )
-        # n . R p does not change with psi, for both turn; n . (c - t) does, by z x n . (c - t).
-        turning = normal[:, 0] * beyond[:, 1] - normal[:, 1] * beyond[:, 0]
+        # n and R p both rotate with psi, so n . R p is constant; d/dpsi n . (c - t) = (z x n) . (c - t).
+        derivative_by_yaw = normal[:, 0] * offset[:, 1] - normal[:, 1] * offset[:, 0]
         values += [float(distance.mean()), float(angle.mean())]
-        slopes += [np.append(-normal[:, :2].mean(axis=0), turning.mean()), np.array([0.0, 0.0, 1.0])]
-    return np.array(values), np.array(slopes)
+        jacobian += [np.append(-normal[:, :2].mean(axis=0), derivative_by_yaw.mean()), np.array([0.0, 0.0, 1.0])]
+    return np.array(values), np.array(jacobian)
 
 
-def _face(touch: PadOnFace, turn: Array) -> tuple[Array, float]:
-    """Outward normal of the face that the pad meets, in A, ``(k, 3)``, and half the size of the object along it [m]."""
-    axes = turn @ touch.rotation
-    towards = -np.einsum("kij,ki->kj", axes, touch.pad_normal)[0]  # of the object's axes, to the pad
-    axis = int(np.argmax(np.abs(towards)))
-    return axes[:, :, axis] * np.sign(towards[axis]), float(touch.size[axis]) / 2.0
+def _face(touch: PadOnFace, rotation: Array) -> tuple[Array, float]:
+    """Outward normal of the face that the pad meets, in A, ``(k, 3)``, and half the extent along it [m]."""
+    axes = rotation @ touch.rotation
+    direction = -np.einsum("kij,ki->kj", axes, touch.pad_normal)[0]  # of the object's axes, to the pad
+    axis = int(np.argmax(np.abs(direction)))
+    return axes[:, :, axis] * np.sign(direction[axis]), float(touch.size[axis]) / 2.0

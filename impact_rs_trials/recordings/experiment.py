@@ -104,18 +104,18 @@ class Body(Schema):
     def item(self) -> ObjectPhysics:
         """The rigid body."""
         if self.mesh is not None:
-            found = body_of_mesh(Path(self.mesh), self.mass, self.size)
+            body = body_of_mesh(Path(self.mesh), self.mass, self.size)
         elif self.radius is not None:
-            found = body_of_shape("sphere", self.mass, [2.0 * self.radius] * 3, self.shell)
+            body = body_of_shape("sphere", self.mass, [2.0 * self.radius] * 3, self.shell)
         else:
             assert self.size is not None
-            found = body_of_shape(self.shape, self.mass, self.size)
-        return found if self.inertia is None else replace(found, inertia=np.array(self.inertia))
+            body = body_of_shape(self.shape, self.mass, self.size)
+        return body if self.inertia is None else replace(body, inertia=np.array(self.inertia))
 
     @model_validator(mode="after")
     def _one_shape(self) -> Self:
         if self.radius is not None and (self.size is not None or self.mesh is not None or self.shape != "box"):
-            raise ValueError("radius is of a ball: leave shape, mesh and size out [m]")
+            raise ValueError("radius is for a ball: leave out shape, mesh and size [m]")
         if self.radius is None and self.mesh is None and self.size is None:
             raise ValueError("expected size, with shape, or mesh, or radius of a ball [m]")
         if self.mesh is not None and self.shape != "box":
@@ -123,7 +123,7 @@ class Body(Schema):
         if self.mesh is None and self.size is not None:
             check_extents(self.shape, self.size)
         if self.spin is not None and self.radius is None:
-            raise ValueError("spin is for balls: how a box lands follows from its turn, which must be tracked")
+            raise ValueError("spin is for balls: the rotation of a box must be tracked")
         return self
 
 
@@ -169,7 +169,7 @@ class Experiment(Schema):
                 "expected either scenario, where a robot hits, or body, where a body without one hits a plane"
             )
         if self.plane is not None and self.body is None:
-            raise ValueError("plane goes with body; where a robot hits, the scenario says what is there")
+            raise ValueError("plane goes with body; with a robot, the scenario has the surroundings")
         return self
 
     @property
@@ -186,7 +186,7 @@ class Experiment(Schema):
         """The scenario.
 
         Raises:
-            InputError: There is none, it breaks its schema, or the experiment is one of a body without a robot.
+            InputError: The file is missing or breaks its schema, or the experiment has a body without a robot.
         """
         if self.scenario is None:
             raise InputError(
@@ -202,7 +202,7 @@ class Experiment(Schema):
             arms: Names of the scenario's arms.
 
         Raises:
-            InputError: There is none, it breaks its schema, or some arm has none.
+            InputError: A mapping is missing or breaks its schema.
         """
         if isinstance(self.mapping, str):
             return dict.fromkeys(arms, load_mapping(self._path(self.mapping)))
@@ -211,8 +211,8 @@ class Experiment(Schema):
                 raise InputError(f"no mapping of arm {arm!r}", file=self.file, key="mapping")
         for arm in self.mapping:
             if arm not in arms:
-                known = f"expected {', '.join(arms)}{did_you_mean(arm, arms)}"
-                raise InputError(f"the scenario has no such arm, {known}", file=self.file, key="mapping", value=arm)
+                expected = f"expected {', '.join(arms)}{did_you_mean(arm, arms)}"
+                raise InputError(f"the scenario has no such arm, {expected}", file=self.file, key="mapping", value=arm)
         return {arm: load_mapping(self._path(self.mapping[arm])) for arm in arms}
 
     def _path(self, name: str) -> str:
@@ -237,8 +237,8 @@ def load_experiment(path: Path) -> Experiment:
     if experiment.scenario is None:
         return experiment
     scenario = _in_key(path, "scenario", experiment.scenario, experiment.load_scenario)
-    named = experiment.mapping if isinstance(experiment.mapping, dict) else {"": experiment.mapping}
-    for arm, mapping in named.items():
+    mappings = experiment.mapping if isinstance(experiment.mapping, dict) else {"": experiment.mapping}
+    for arm, mapping in mappings.items():
         key = f"mapping.{arm}" if arm else "mapping"
         _in_key(path, key, mapping, functools.partial(load_mapping, experiment._path(mapping)))
     experiment.load_mappings(scenario.robots)
@@ -288,19 +288,19 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
         InputError: It cannot be used; the message names file, line, column, value and expected range.
     """
     if not directory.is_dir():
-        what = "a file where the folder of the recordings is expected" if directory.is_file() else "no such folder"
-        raise InputError(what, file=directory)
-    places = [directory / experiment.runs, experiment.folder / experiment.runs]
-    path = next((place for place in places if place.is_file()), None)
+        problem = "a file where the folder of the recordings is expected" if directory.is_file() else "no such folder"
+        raise InputError(problem, file=directory)
+    paths = [directory / experiment.runs, experiment.folder / experiment.runs]
+    path = next((place for place in paths if place.is_file()), None)
     if path is None:
-        near = did_you_mean(experiment.runs, [file.name for file in directory.iterdir() if file.is_file()])
+        suggestion = did_you_mean(experiment.runs, [file.name for file in directory.iterdir() if file.is_file()])
         folders = f"{directory} or {experiment.folder}" if experiment.folder != directory else str(directory)
-        raise InputError(f"no table of runs {experiment.runs!r} in {folders}{near}", file=directory)
+        raise InputError(f"no table of runs {experiment.runs!r} in {folders}{suggestion}", file=directory)
     objects = [BODY] if scenario is None else list(scenario.objects)
     mappings = list(experiment.load_mappings([BODY] if scenario is None else scenario.robots).values())
     rows = _table(path)
-    further = [name for name in rows[0][1] if name not in COLUMNS]
-    seen: dict[Path, int] = {}
+    condition_columns = [name for name in rows[0][1] if name not in COLUMNS]
+    line_of: dict[Path, int] = {}
     runs = []
     for line, cells in rows:
         kind, name = cells["kind"], cells["object"]
@@ -308,10 +308,14 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
             raise _wrong(path, line, "kind", kind, f"expected {HIT!r} or {FREE_MOTION!r}{did_you_mean(kind, KINDS)}")
         hit = kind == HIT
         if hit and name not in objects:
-            known = ", ".join(objects)
-            where = "an experiment with body" if scenario is None else f"scenario {scenario.name!r}"
+            expected_objects = ", ".join(objects)
+            owner = "an experiment with body" if scenario is None else f"scenario {scenario.name!r}"
             raise _wrong(
-                path, line, "object", name, f"expected an object of {where}: {known}{did_you_mean(name, objects)}"
+                path,
+                line,
+                "object",
+                name,
+                f"expected an object of {owner}: {expected_objects}{did_you_mean(name, objects)}",
             )
         if not hit and name not in (NO_OBJECT, ""):
             raise _wrong(path, line, "object", name, f"expected {NO_OBJECT!r}, nothing is touched in free motion")
@@ -319,10 +323,10 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
             recording = find_run(directory, cells["bag"], mappings)
         except InputError as error:
             raise _wrong(path, line, "bag", cells["bag"], error.message) from None
-        if recording in seen:
-            raise _wrong(path, line, "bag", cells["bag"], f"stands in line {seen[recording]} already")
-        seen[recording] = line
-        condition = "/".join(cells[name] for name in further)
+        if recording in line_of:
+            raise _wrong(path, line, "bag", cells["bag"], f"stands in line {line_of[recording]} already")
+        line_of[recording] = line
+        condition = "/".join(cells[name] for name in condition_columns)
         runs.append(RunRow(recording, name if hit else None, hit, condition, cells.get(SESSION, "")))
     return runs
 
@@ -339,20 +343,20 @@ def run_named(table: Sequence[RunRow], directory: Path, name: str) -> RunRow:
         InputError: No run or several runs have this name.
     """
     paths = {run.path: Path(os.path.relpath(run.path, directory)) for run in table}
-    known = {
+    names_of = {
         run.path: {run.name, run.path.name, str(paths[run.path]), str(paths[run.path].with_suffix(""))} for run in table
     }
-    found = [run for run in table if name in known[run.path]]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        several = ", ".join(str(paths[run.path]) for run in found)
-        raise InputError(f"several runs are called that: {several}; name one by its path", key="run", value=name)
+    matches = [run for run in table if name in names_of[run.path]]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        candidates = ", ".join(str(paths[run.path]) for run in matches)
+        raise InputError(f"several runs have this name: {candidates}; name one by its path", key="run", value=name)
     names = [run.name for run in table]
-    near = did_you_mean(name, names)
+    suggestion = did_you_mean(name, names)
     listed = f"{', '.join(names[:MAX_LISTED_RUNS])}{' ...' if len(names) > MAX_LISTED_RUNS else ''}"
     raise InputError(
-        f"the table of runs names no such run{near or f'; expected one of {listed}'}", key="run", value=name
+        f"the table of runs names no such run{suggestion or f'; expected one of {listed}'}", key="run", value=name
     )
 
 
@@ -364,14 +368,16 @@ def _table(path: Path) -> list[tuple[int, dict[str, str]]]:
     header = list(table.cells)
     for name in COLUMNS:
         if name not in header:
-            near = did_you_mean(name, header)
-            raise InputError(f"no column {name!r} in line {table.header}{near}; found: {', '.join(header)}", file=path)
+            suggestion = did_you_mean(name, header)
+            raise InputError(
+                f"no column {name!r} in line {table.header}{suggestion}; found: {', '.join(header)}", file=path
+            )
     rows = [[str(cell).strip() for cell in row] for row in zip(*table.cells.values(), strict=True)]
     lines = table.lines or range(1, len(rows) + 1)
-    found = [(line, row) for line, row in zip(lines, rows, strict=True) if any(row) and not row[0].startswith("#")]
-    if not found:
+    filled = [(line, row) for line, row in zip(lines, rows, strict=True) if any(row) and not row[0].startswith("#")]
+    if not filled:
         raise InputError(f"no run below the header {','.join(header)}", file=path)
-    return [(line, dict(zip(header, row, strict=True))) for line, row in found]
+    return [(line, dict(zip(header, row, strict=True))) for line, row in filled]
 
 
 def _wrong(path: Path, line: int, column: str, value: str, message: str) -> InputError:
@@ -384,5 +390,5 @@ def _in_key(path: Path, key: str, value: str, load: Callable[[], Result]) -> Res
         return load()
     except InputError as error:
         if error.file is not None and error.file != str(path):
-            raise  # that file has the mistake
+            raise  # the error is in that file
         raise InputError(error.message, file=path, key=key, value=value) from None

@@ -60,8 +60,8 @@ _IGNORED = str.maketrans("", "", " ^*[]()")
 
 
 def factors_of(quantity: str, unit: str | Sequence[str]) -> Array:
-    """Factors to SI of the unit of all joints, ``(1,)``, or of the unit of each, ``(n,)``."""
-    return np.array([UNITS[quantity][one] for one in ([unit] if isinstance(unit, str) else unit)])
+    """Factors to SI: of the common unit of all joints, ``(1,)``, or of a unit per joint, ``(n,)``."""
+    return np.array([UNITS[quantity][joint_unit] for joint_unit in ([unit] if isinstance(unit, str) else unit)])
 
 
 def si_unit(quantity: str, unit: str, unit_quantity: str) -> str:
@@ -72,17 +72,17 @@ def si_unit(quantity: str, unit: str, unit_quantity: str) -> str:
         unit: Unit of the other quantity, which shows whether the joint turns or slides.
         unit_quantity: The other quantity.
     """
-    known = next((table for table in (TURNS, SLIDES) if unit in table.get(unit_quantity, {})), UNITS)
-    return next(iter(known[quantity]))
+    factors = next((table for table in (TURNS, SLIDES) if unit in table.get(unit_quantity, {})), UNITS)
+    return next(iter(factors[quantity]))
 
 
 def is_unit(text: str) -> bool:
-    """Whether a cell below a column name states its unit, ``[rad/s]`` for example; empty: the column has no unit."""
+    """Whether a cell below a column name states a unit, ``[rad/s]`` for example, or is empty for no unit."""
     return _bare(text) in _KNOWN
 
 
 def _bare(text: str) -> str:
-    """A unit without brackets, blanks, signs of powers and products, and case."""
+    """A unit in lower case without brackets, blanks, and signs of powers and products."""
     return text.lower().translate(_IGNORED)
 
 

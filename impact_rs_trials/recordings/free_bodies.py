@@ -37,7 +37,7 @@ def body_of_shape(kind: str, mass: float, size: Sequence[float], shell: bool = F
         raise ValueError(f"expected {', '.join(FREE_KINDS)}{did_you_mean(kind, FREE_KINDS)}{hint}")
     extents = np.array(size, dtype=float)
     check_extents(kind, extents.tolist())
-    shape = next(ConvexShape(one) for one in FREE_KINDS if one == kind)
+    shape = next(ConvexShape(free_kind) for free_kind in FREE_KINDS if free_kind == kind)
     inertia = np.full(3, HOLLOW * mass * (extents[0] / 2.0) ** 2) if shell else shape.moments(mass, extents)
     return ObjectPhysics(mass, extents, inertia, np.zeros(3), shape)
 
@@ -55,14 +55,14 @@ def body_of_mesh(path: Path, mass: float, size: Sequence[float] | None = None) -
     """
     if not is_file(path):
         raise InputError("no such file", file=path)
-    found = _mesh(path, path.stat().st_mtime_ns)
+    mesh = _mesh(path, path.stat().st_mtime_ns)
     if size is not None:
-        found = found.stretched(np.array(size))
+        mesh = mesh.stretched(np.array(size))
     try:
-        shape = hull_of(tuple(map(tuple, found.corners.tolist())))
+        shape = hull_of(tuple(map(tuple, mesh.corners.tolist())))
     except ValueError as error:
         raise InputError(f"its hull cannot be hit: {error}", file=path) from None
-    return ObjectPhysics(mass, found.size, mass * found.moments, found.com, shape)
+    return ObjectPhysics(mass, mesh.size, mass * mesh.moments, mesh.com, shape)
 
 
 @functools.lru_cache(maxsize=16)

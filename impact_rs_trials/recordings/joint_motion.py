@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion of the joints of a recorded arm at some of its samples, and the torque that it takes."""
+"""Motion of the joints of a recorded arm, and its inverse dynamics, at a subset of the samples."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COMPARED_SAMPLES = 400  # of a motion and a stream
 
 @dataclass(frozen=True)
 class JointMotion:
-    """Motion of the joints at some of its samples, after moving averages, ``(k, n)`` each.
+    """Motion of the joints at a subset of the samples, after moving averages, ``(k, n)`` each.
 
     Attributes:
         time: Stamps of the recording, ``(m,)`` [s].
@@ -45,7 +45,7 @@ class JointMotion:
     def of(
         time: Array, position: Array, velocity: Array | None, model: RobotModel, samples: int = COMPARED_SAMPLES
     ) -> JointMotion:
-        """Motion from signals ``(m, n)`` at common timestamps [s]; without a velocity it is the derivative."""
+        """Motion from signals ``(m, n)`` at common timestamps [s]; velocity None: the derivative of the position."""
         motion = AveragedMotion.of(time, position)
         rows = evenly(motion.time.size, samples)
         dq = motion.velocity if velocity is None else averaged(time, velocity)[1]
@@ -70,15 +70,15 @@ class JointMotion:
         return np.array([self.model.inverse_dynamics(*state) for state in states])
 
     def sampled(self, values: Array) -> Array:
-        """Another stream ``(m, c)`` on the same timestamps, averaged, at these samples."""
+        """Another stream ``(m, c)`` on the same timestamps: averaged, at the samples of the motion, ``(k, c)``."""
         return averaged(self.time, values)[1][self.rows]
 
     def unit(self, turns: str, slide: str) -> Any:
-        """Unit of joints that turn and joints that slide: one if it is the same of all joints, else a list."""
+        """Unit of joints that turn and joints that slide: a single unit if all joints share it, else a list."""
         return unit_of_joints(self.facts, turns, slide)
 
 
 def unit_of_joints(facts: RobotFacts, turns: str, slide: str) -> Any:
-    """Unit of a robot's joints, as in a mapping: one if it is the same of all joints, else a list."""
+    """Unit of the joints of a robot, as in a mapping: a single unit if all joints share it, else a list."""
     units = [slide if kind == "prismatic" else turns for kind in facts.joint_types]
     return units[0] if len(set(units)) == 1 else units

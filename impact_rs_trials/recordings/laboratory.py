@@ -118,21 +118,21 @@ class Laboratory:
         """Scenario and mappings of an experiment, which must fit each other.
 
         Raises:
-            InputError: They do not, or signals of two arms are the same.
+            InputError: They do not fit, or signals of two arms are the same.
         """
 
-        def place(arm: str | None) -> dict[str, Any]:
-            named = experiment.mapping
-            if isinstance(named, str):
-                return {"file": experiment.file, "key": "mapping", "value": named}
+        def location(arm: str | None) -> dict[str, Any]:
+            mapping = experiment.mapping
+            if isinstance(mapping, str):
+                return {"file": experiment.file, "key": "mapping", "value": mapping}
             if arm is None:
                 return {"file": experiment.file, "key": "mapping"}
-            return {"file": experiment.file, "key": f"mapping.{arm}", "value": named[arm]}
+            return {"file": experiment.file, "key": f"mapping.{arm}", "value": mapping[arm]}
 
         scenario = experiment.load_scenario()
         mappings = experiment.load_mappings(scenario.robots)
-        found = cls.checked(scenario, mappings, experiment.motion_capture, place)
-        return replace(found, friction_noise=experiment.friction_noise)
+        laboratory = cls.checked(scenario, mappings, experiment.motion_capture, location)
+        return replace(laboratory, friction_noise=experiment.friction_noise)
 
     @classmethod
     def checked(
@@ -140,7 +140,7 @@ class Laboratory:
         scenario: Scenario,
         mappings: Mapping[str, SignalMapping],
         motion_capture: MotionCapture,
-        place: Callable[[str | None], Mapping[str, Any]],
+        location: Callable[[str | None], Mapping[str, Any]],
     ) -> Laboratory:
         """Scenario and mappings, which must fit each other.
 
@@ -148,10 +148,10 @@ class Laboratory:
             scenario: Robots, objects and support.
             mappings: Where the signals of each arm are.
             motion_capture: Placement of its world.
-            place: File, key and value that an error names, for the mapping of an arm or of all of them.
+            location: File, key and value for errors about the mapping of an arm; None: about the mappings of all arms.
 
         Raises:
-            InputError: They do not, or signals of two arms are the same.
+            InputError: They do not fit, or signals of two arms are the same.
         """
         for arm, mapping in mappings.items():
             robot = scenario.robots[arm]
@@ -159,23 +159,23 @@ class Laboratory:
                 raise InputError(
                     f"the mapping is for robot {mapping.robot!r}, arm {arm!r} of scenario {scenario.name!r} is "
                     f"{robot.facts_name!r}; expected the same",
-                    **place(arm),
+                    **location(arm),
                 )
             if mapping.torque_measured_at != "link":
                 raise InputError(
                     "torque_measured_at is 'motor' in the mapping; runs with contact need the torque behind the gears "
-                    "(link), the torque asked of the motors is signals.command",
-                    **place(arm),
+                    "(link), the commanded torque of the motors is signals.command",
+                    **location(arm),
                 )
-        for one, other in itertools.combinations(mappings, 2):
-            measured = mappings[one].signals.keys() & mappings[other].signals.keys()
-            for name in (name for name in REQUIRED if name in measured):
-                if _where(mappings[one], one, name) == _where(mappings[other], other, name):
+        for first, second in itertools.combinations(mappings, 2):
+            common_signals = mappings[first].signals.keys() & mappings[second].signals.keys()
+            for name in (name for name in REQUIRED if name in common_signals):
+                if _where(mappings[first], first, name) == _where(mappings[second], second, name):
                     raise InputError(
-                        f"{name} of arms {one!r} and {other!r} would be the same numbers; expected {{arm}} where the "
-                        "name of an arm stands in a topic, a column or the joints, or a mapping of each arm, mapping: "
-                        f"{{{one}: ..., {other}: ...}}",
-                        **place(None),
+                        f"{name} of arms {first!r} and {second!r} would be the same numbers; expected {{arm}} for the "
+                        "name of an arm in a topic, a column or the joints, or a mapping for each arm, mapping: "
+                        f"{{{first}: ..., {second}: ...}}",
+                        **location(None),
                     )
         return cls(scenario, mappings, motion_capture)
 
@@ -187,7 +187,7 @@ class Laboratory:
 
     @property
     def tracker(self) -> str:
-        """The arm whose mapping says where the object's pose is; the first where none does."""
+        """The arm whose mapping has the pose of the object; the first arm if no mapping has it."""
         tracking = (arm for arm, mapping in self.mappings.items() if set(OBJECT_SIGNALS) & set(mapping.signals))
         return next(tracking, next(iter(self.mappings)))
 
@@ -197,21 +197,21 @@ class Laboratory:
         Args:
             run: The run.
             wanted: Signals to read, as far as a mapping has them.
-            needed: Of those, the ones that must be there.
+            needed: Those of them that must be there.
 
         Raises:
-            InputError: A needed signal is missing, or something cannot be used.
+            InputError: A needed signal is missing, or a signal cannot be used.
         """
-        found = {}
+        series = {}
         for arm, mapping in self.mappings.items():
             names = Names(object=run.object or "*", arm=arm, run=run.name)
-            own = [name for name in wanted if name not in OBJECT_SIGNALS or arm == self.tracker]
+            names_of_arm = [name for name in wanted if name not in OBJECT_SIGNALS or arm == self.tracker]
             with self.errors_of(arm):
-                found[arm] = read_series(run.path, mapping, own, set(needed) & set(own), names)
-        return found
+                series[arm] = read_series(run.path, mapping, names_of_arm, set(needed) & set(names_of_arm), names)
+        return series
 
     def without_faults(self, arm: str, series: ArmSeries, hit: bool) -> tuple[ArmSeries, list[str]]:
-        """One arm without outliers and frozen samples, and warnings about the removed ones."""
+        """Signals of an arm without outliers and frozen samples, and warnings about them."""
         return without_faults(series, self.mappings[arm], self.models[arm], hit)
 
     @contextmanager
@@ -230,16 +230,16 @@ class Laboratory:
         return f"arm {arm!r}: " if len(self.mappings) > 1 else ""
 
     def with_frame_from(self, touches: Sequence[PadOnFace]) -> Laboratory:
-        """With the frame of the motion capture estimated from hits.
+        """The laboratory with the motion-capture frame estimated from hits.
 
         Raises:
             InputError: There is no hit.
         """
         given = self.motion_capture
-        found = contact_frame(touches, np.array(given.position), given.rpy[2])
-        x, y, z = (float(number) for number in found.position)
-        update = {"position": (x, y, z), "rpy": (*given.rpy[:2], found.yaw)}
-        return replace(self, motion_capture=given.model_copy(update=update), estimated_frame=found)
+        frame = contact_frame(touches, np.array(given.position), given.rpy[2])
+        x, y, z = (float(number) for number in frame.position)
+        update = {"position": (x, y, z), "rpy": (*given.rpy[:2], frame.yaw)}
+        return replace(self, motion_capture=given.model_copy(update=update), estimated_frame=frame)
 
 
 def _where(mapping: SignalMapping, arm: str, name: SignalName) -> tuple[str | None, ...]:
@@ -255,14 +255,14 @@ def read_laboratory(directory: Path, experiment: Experiment, map_tasks: Map) -> 
 
     Args:
         directory: Folder of the recordings.
-        experiment: Says what they are.
-        map_tasks: Who reads them.
+        experiment: Describes them.
+        map_tasks: Maps the reader over the runs.
 
     Returns:
-        Runs in the order of the table; and path and reason of the skipped ones.
+        Runs in the order of the table; path and reason of the skipped runs.
 
     Raises:
-        InputError: Something is wrong with the experiment, its table, or a recording; or no run is left.
+        InputError: Experiment, table or a recording cannot be used; or no run remains.
     """
     laboratory = Laboratory.of(experiment)
     table = read_runs(directory, experiment, laboratory.scenario)
@@ -283,16 +283,16 @@ def read_laboratory(directory: Path, experiment: Experiment, map_tasks: Map) -> 
 
 
 def read_one(directory: Path, experiment: Experiment, name: str, map_tasks: Map) -> Run:
-    """One run of an experiment; of the others nothing is read but what places the motion capture.
+    """One run of an experiment; other runs are read only to place the motion capture.
 
     Args:
         directory: Folder of the recordings.
-        experiment: Says what they are.
+        experiment: Describes them.
         name: Name of the run (:func:`~impact_rs_trials.recordings.experiment.run_named`).
-        map_tasks: Who reads them.
+        map_tasks: Maps the reader over the runs.
 
     Raises:
-        InputError: There is no such run, or something is wrong with the experiment, its table, or the recording.
+        InputError: There is no such run, or experiment, table or recording cannot be used.
     """
     laboratory = Laboratory.of(experiment)
     table = read_runs(directory, experiment, laboratory.scenario)
@@ -313,7 +313,7 @@ def with_tracker_frame(laboratory: Laboratory, table: Sequence[RunRow], map_task
 
 
 def _try_to_read(task: tuple[Laboratory, RunRow]) -> Run | InputError:
-    """Return errors instead of raising: dask retries tasks that raise."""
+    """:func:`read_run`; errors are returned, because dask retries tasks that raise."""
     try:
         return read_run(*task)
     except InputError as error:
@@ -324,66 +324,69 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     """One run, checked.
 
     Raises:
-        TooShort: Too little is left of it between gaps.
-        InputError: It cannot be used; the message says where, why, and what to do.
+        TooShort: The pieces between gaps are too short.
+        InputError: The run cannot be used; the message states place, reason and remedy.
     """
     path, tracker = run.path, laboratory.tracker
     wanted: list[SignalName] = [*ARM_SIGNALS, "command", "wrench", *(OBJECT_SIGNALS if run.hit else ())]
     remarks: list[str] = []
     arms = on_clock_of_joints(laboratory, run, wanted, _needed(laboratory, run), remarks)
     faults: list[str] = []
-    for arm, own in arms.items():
+    for arm, series in arms.items():
         with laboratory.errors_of(arm):
-            for name, one in own.items():
-                _check(path, name, one)
-            arms[arm], left_out = laboratory.without_faults(arm, own, run.hit)
+            for name, signal in series.items():
+                _check(path, name, signal)
+            arms[arm], left_out = laboratory.without_faults(arm, series, run.hit)
             faults += [f"{laboratory.label(arm)}{warning}" for warning in left_out]
             if any(arms[arm][name].time.size < MIN_RUN_SAMPLES for name in REQUIRED):
                 raise TooShort("; ".join(faults), file=path)
     remarks += faults
     base = _fastest(arms)
-    for arm, own in arms.items():
+    for arm, series in arms.items():
         with laboratory.errors_of(arm):
-            _check_overlap(path, arms[base]["position"], own)
+            _check_overlap(path, arms[base]["position"], series)
     origin = float(arms[base]["position"].time[0])  # numbers of the wall clock have no room for microseconds
     position = arms[base]["position"]
     began = origin if position.log is None or origin > MIN_WALL_CLOCK_S else float(position.log[0])
-    arms = {arm: {name: replace(one, time=one.time - origin) for name, one in own.items()} for arm, own in arms.items()}
-    pose_seen = arms[tracker].pop("object_pose", None)
+    arms = {
+        arm: {name: replace(signal, time=signal.time - origin) for name, signal in series.items()}
+        for arm, series in arms.items()
+    }
+    pose_series = arms[tracker].pop("object_pose", None)
 
     try:
-        pieces, main = _pieces(run, arms, pose_seen, remarks)
+        pieces, main = _pieces(run, arms, pose_series, remarks)
     except TooShort as error:
         raise TooShort("; ".join([error.message, *faults]), file=error.file) from None
     raw = arms[base]["position"].time
     grid = grid_from(raw[_inside(raw, pieces)], raw[_inside(raw, [main])])
-    for arm, own in arms.items():
-        _warn_of_rates(own["position"], grid, pieces, main if arm != base else None, remarks)
-    _warn_of_pose_rate(pose_seen, remarks)
+    for arm, series in arms.items():
+        _warn_of_rates(series["position"], grid, pieces, main if arm != base else None, remarks)
+    _warn_of_pose_rate(pose_series, remarks)
     time = grid - grid[0]
-    read = {arm: _arm_of(laboratory, run, arm, own, grid, remarks) for arm, own in arms.items()}
-    object_time, pose = _part(pose_seen, grid, np.zeros((0, 7)))
+    signals_of_arms = {arm: _arm_of(laboratory, run, arm, series, grid, remarks) for arm, series in arms.items()}
+    object_time, pose = _part(pose_series, grid, np.zeros((0, 7)))
     if object_time.size:
         if laboratory.estimated_frame is not None:
             remarks.append(str(laboratory.estimated_frame))
         pose = in_inertial_frame(laboratory.motion_capture, run, pose)
-        for arm, joints in read.items():
+        for arm, joints in signals_of_arms.items():
             with laboratory.errors_of(arm):
                 remarks += _check_object(laboratory, run, arm, time, joints.position, object_time, pose)
     elif run.hit:
         remarks.append("the object was not tracked: it starts where the scenario places it")
-    signals = Signals(time, _alike(read), object_time, pose[:, :3], pose[:, 3:])
+    signals = Signals(time, _alike(signals_of_arms), object_time, pose[:, :3], pose[:, 3:])
     gaps_between = tuple((end - grid[0], start - grid[0]) for (_, end), (start, _) in itertools.pairwise(pieces))
-    found = _in_scene(laboratory.scenario, run, signals, gaps_between, tuple(dict.fromkeys(remarks)))
-    return replace(found, recorded=began if began > MIN_WALL_CLOCK_S else None)
+    result = _in_scene(laboratory.scenario, run, signals, gaps_between, tuple(dict.fromkeys(remarks)))
+    return replace(result, recorded=began if began > MIN_WALL_CLOCK_S else None)
 
 
 def _alike(arms: Mapping[str, ArmSignals]) -> dict[str, ArmSignals]:
-    """The arms with the signals that all of them have, because all arms of a replay have the same drive."""
-    common = set.intersection(*(set(own.measured) for own in arms.values()))
-    left_out = {name: NONE for own in arms.values() for name in own.measured if name not in {*common, "wrench"}}
+    """The arms with their common signals, because all arms of a replay have the same drive."""
+    common = set.intersection(*(set(signals.measured) for signals in arms.values()))
+    left_out = {name: NONE for signals in arms.values() for name in signals.measured if name not in {*common, "wrench"}}
     left_out |= {"command_time": NONE} if "command" in left_out else {}
-    return {name: replace(own, **left_out) for name, own in arms.items()}
+    return {name: replace(signals, **left_out) for name, signals in arms.items()}
 
 
 def _in_scene(
@@ -391,9 +394,10 @@ def _in_scene(
 ) -> Run:
     """The run of a row of the table in the scene of its scenario."""
     object_name = row.object or next(iter(scenario.objects))
-    rest = resting_pose(scenario, object_name)
+    object_state = resting_pose(scenario, object_name)
     if not row.hit:
-        rest = BodyState(rest.position + [OUT_OF_REACH_M, OUT_OF_REACH_M, 0.0], rest.rotation, rest.twist)
+        away = object_state.position + [OUT_OF_REACH_M, OUT_OF_REACH_M, 0.0]
+        object_state = BodyState(away, object_state.rotation, object_state.twist)
     return Run(
         path=row.path,
         name=row.name,
@@ -402,7 +406,7 @@ def _in_scene(
         hit=row.hit,
         physics=Physics.nominal(scenario, object_name),
         signals=signals,
-        object=rest,
+        object=object_state,
         drive_period=scenario.timing.drive_period,
         axis=scenario.axis_index,
         gaps=gaps,
@@ -412,9 +416,9 @@ def _in_scene(
 
 def _needed(laboratory: Laboratory, run: RunRow) -> list[SignalName]:
     """Required signals of a run: the joints' signals, and further signals of the mappings."""
-    promised = {name for mapping in laboratory.mappings.values() for name in mapping.signals}
-    asked: tuple[SignalName, ...] = ("command", *(OBJECT_SIGNALS if run.hit else ()))
-    return [*REQUIRED, *(name for name in asked if name in promised)]
+    in_mappings = {name for mapping in laboratory.mappings.values() for name in mapping.signals}
+    optional: tuple[SignalName, ...] = ("command", *(OBJECT_SIGNALS if run.hit else ()))
+    return [*REQUIRED, *(name for name in optional if name in in_mappings)]
 
 
 def _fastest(arms: Mapping[str, ArmSeries]) -> str:
@@ -451,7 +455,7 @@ def _arm_of(
 
 
 def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
-    """With the pose as one signal, and without the samples in which the object was not seen.
+    """Signals with the pose as one signal, without the samples in which the object was not tracked.
 
     Args:
         path: File, for messages.
@@ -459,14 +463,15 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
         remarks: Warnings, appended to.
 
     Raises:
-        InputError: Its parts have other stamps, its quaternions no unit length, or it is never seen.
+        InputError: Position and quaternion have different stamps, quaternions no unit length, or the object is never
+            tracked.
     """
     series = dict(series)
     position, quaternion = series.pop("object_position", None), series.pop("object_quaternion", None)
     if position is not None and quaternion is not None:
         if position.time.size != quaternion.time.size or not np.allclose(position.time, quaternion.time):
             raise InputError(
-                f"{position.label} and {quaternion.label} have other time stamps; expected the same", file=path
+                f"{position.label} and {quaternion.label} have different time stamps; expected the same", file=path
             )
         values = np.hstack((position.values, quaternion.values))
         series["object_pose"] = replace(position, values=values)
@@ -474,20 +479,20 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     if pose is None:
         return series
     norm = np.linalg.norm(pose.values[:, 3:], axis=1)
-    seen = ~(np.isnan(pose.values[:, :3]).all(axis=1) | np.isnan(pose.values[:, 3:]).all(axis=1) | (norm == 0.0))
-    if not np.any(seen):
-        raise InputError(f"{pose.label}: the object is not seen in any of {seen.size} samples", file=path)
-    lengths = norm[seen & np.isfinite(norm)]
+    tracked = ~(np.isnan(pose.values[:, :3]).all(axis=1) | np.isnan(pose.values[:, 3:]).all(axis=1) | (norm == 0.0))
+    if not np.any(tracked):
+        raise InputError(f"{pose.label}: the object is not seen in any of {tracked.size} samples", file=path)
+    lengths = norm[tracked & np.isfinite(norm)]
     if np.any(np.abs(lengths - 1.0) > MAX_NORM_ERROR):
         raise InputError(
             f"{pose.label}: quaternions have lengths of {lengths.min():.3g} ... {lengths.max():.3g}, expected 1: "
             "columns of something else?",
             file=path,
         )
-    if not np.all(seen):
+    if not np.all(tracked):
         words = "{}: the object is not seen in {:d} of {:d} samples"
-        remarks.append(remark(words, pose.label, int(np.sum(~seen)), seen.size))
-    series["object_pose"] = pose.in_rows(seen)
+        remarks.append(remark(words, pose.label, int(np.sum(~tracked)), tracked.size))
+    series["object_pose"] = pose.in_rows(tracked)
     return series
 
 
@@ -504,17 +509,19 @@ def on_clock_of_joints(
         laboratory: Knows arms and mappings.
         run: The run.
         wanted: Signals to read, as far as a mapping has them.
-        needed: Of those, the ones that must be there.
+        needed: Those of them that must be there.
         remarks: Warnings, appended to.
 
     Raises:
-        InputError: A needed signal is missing, or something cannot be used.
+        InputError: A needed signal is missing, or a signal cannot be used.
     """
     arms = laboratory.series(run, wanted, needed)
-    for arm, own in arms.items():
+    for arm, series in arms.items():
         with laboratory.errors_of(arm):
-            arms[arm] = on_one_clock(run.path, own, laboratory.mappings[arm], laboratory.models[arm])
-    remarks += dict.fromkeys(warning for own in arms.values() for one in own.values() for warning in one.remarks)
+            arms[arm] = on_one_clock(run.path, series, laboratory.mappings[arm], laboratory.models[arm])
+    remarks += dict.fromkeys(
+        warning for series in arms.values() for signal in series.values() for warning in signal.remarks
+    )
     if run.hit:
         arms[laboratory.tracker] = with_object(run.path, arms[laboratory.tracker], remarks)
         _start_in_the_impact(laboratory, run, arms, remarks)
@@ -528,38 +535,38 @@ def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, Ar
     if "object_pose" not in arms[tracker] or name is None or mapping.signals[name].clock == "shared":
         return
     pose = arms[tracker]["object_pose"]
-    moved = shifted_to_impact(run.path, pose, arms[tracker]["position"], f"signals.{name}.clock")
-    remarks += [warning for warning in moved.remarks if warning not in pose.remarks]
-    arms[tracker] = {**arms[tracker], "object_pose": moved}
+    shifted_pose = shifted_to_impact(run.path, pose, arms[tracker]["position"], f"signals.{name}.clock")
+    remarks += [warning for warning in shifted_pose.remarks if warning not in pose.remarks]
+    arms[tracker] = {**arms[tracker], "object_pose": shifted_pose}
 
 
 def _check(path: Path, name: SignalName, series: Series) -> None:
-    """Stamps that increase without a jump, and finite numbers."""
+    """Check that stamps increase without a jump, and that numbers are finite."""
     if name in REQUIRED and series.time.size < MIN_RUN_SAMPLES:
         raise TooShort(f"{series.label}: {series.time.size} samples, at least {MIN_RUN_SAMPLES} are needed", file=path)
     check_stamps(path, series.label, series.time)
     if series.time.size > 1:
         largest = max(MIN_CLOCK_JUMP_S, 5.0 * float(np.median(np.diff(series.time))))
         check_jumps(path, series.label, series.time, series.log, largest, pauses=name in (*ARM_SIGNALS, "command"))
-    wrong = ~np.isfinite(series.values)
-    if np.any(wrong):
-        row, column = np.argwhere(wrong)[0]
+    not_finite = ~np.isfinite(series.values)
+    if np.any(not_finite):
+        row, column = np.argwhere(not_finite)[0]
         raise InputError(
             f"{series.label}: number {column + 1} is {series.values[row, column]} at t = "
-            f"{series.time[row] - series.time[0]:.3f} s ({int(np.sum(wrong.any(axis=1)))} of {wrong.shape[0]} "
-            "samples); repair the file, or take the run out of the table",
+            f"{series.time[row] - series.time[0]:.3f} s ({int(np.sum(not_finite.any(axis=1)))} of "
+            f"{not_finite.shape[0]} samples); repair the file, or take the run out of the table",
             file=path,
         )
 
 
 def _check_overlap(path: Path, base: Series, series: ArmSeries) -> None:
-    """Every signal shares some time with the joint positions ``base``."""
-    for one in series.values():
-        if one.time[-1] < base.time[0] or one.time[0] > base.time[-1]:
+    """Check that every signal overlaps with the joint positions ``base`` in time."""
+    for signal in series.values():
+        if signal.time[-1] < base.time[0] or signal.time[0] > base.time[-1]:
             raise InputError(
-                f"{one.label} spans {one.time[0]:.3f} ... {one.time[-1]:.3f} s, {base.label} {base.time[0]:.3f} ... "
-                f"{base.time[-1]:.3f} s: another clock, or another run? In the mapping signals.NAME.delay "
-                "shifts a signal, and signals.NAME.clock: own finds the offset from the motion",
+                f"{signal.label} spans {signal.time[0]:.3f} ... {signal.time[-1]:.3f} s, {base.label} "
+                f"{base.time[0]:.3f} ... {base.time[-1]:.3f} s: another clock, or another run? In the "
+                "mapping signals.NAME.delay shifts a signal, and signals.NAME.clock: own finds the offset from the motion",
                 file=path,
             )
 
@@ -567,35 +574,39 @@ def _check_overlap(path: Path, base: Series, series: ArmSeries) -> None:
 def _pieces(
     run: RunRow, arms: Mapping[str, ArmSeries], pose: Series | None, remarks: list[str]
 ) -> tuple[list[tuple[float, float]], tuple[float, float]]:
-    """Pieces between gaps that are long enough, in order, and the main one.
+    """Pieces between gaps that are long enough, in order, and the main piece.
 
-    The main piece is the longest one; in a hit the one with the impact, after which no other is used.
+    The main piece is the longest piece. In a hit it is the piece with the impact, and no later piece is used.
     """
-    start = max(float(own["position"].time[0]) for own in arms.values())
-    end = min(float(own["position"].time[-1]) for own in arms.values())
+    start = max(float(series["position"].time[0]) for series in arms.values())
+    end = min(float(series["position"].time[-1]) for series in arms.values())
     cuts: list[Gap] = []
-    all_of_them = [own.get(name) for own in arms.values() for name in (*ARM_SIGNALS, "command")]
-    seen: list[Array] = []  # stamps that signals share are looked at once
-    for one in (*all_of_them, pose):
-        if one is None or one.time.size < 2 or any(np.array_equal(one.time, time) for time in seen):
+    signals = [series.get(name) for series in arms.values() for name in (*ARM_SIGNALS, "command")]
+    checked_times: list[Array] = []  # stamps that several signals share are checked once
+    for signal in (*signals, pose):
+        if signal is None or signal.time.size < 2 or any(np.array_equal(signal.time, time) for time in checked_times):
             continue
-        seen.append(one.time)
-        periods = MIN_GAP_PERIODS * float(np.median(np.diff(one.time)))
-        found = gaps(one.time, max(MIN_REPORTED_GAP_S, periods))
-        if not found:
+        checked_times.append(signal.time)
+        periods = MIN_GAP_PERIODS * float(np.median(np.diff(signal.time)))
+        signal_gaps = gaps(signal.time, max(MIN_REPORTED_GAP_S, periods))
+        if not signal_gaps:
             continue
-        remarks.append(f"{one.label}: {'gaps' if len(found) > 1 else 'a gap'} of {gaps_in_words(found, start)}")
-        if one is not pose:
+        remarks.append(
+            f"{signal.label}: {'gaps' if len(signal_gaps) > 1 else 'a gap'} of {gaps_in_words(signal_gaps, start)}"
+        )
+        if signal is not pose:
             cuts += [
-                gap for gap in found if gap.length > MAX_INTERPOLATED_GAP_S and gap.end > start and gap.start < end
+                gap
+                for gap in signal_gaps
+                if gap.length > MAX_INTERPOLATED_GAP_S and gap.end > start and gap.start < end
             ]
     if end - start < MIN_PIECE_S:
         raise TooShort(f"it lasts {end - start:.3f} s, at least {MIN_PIECE_S} s are needed", file=run.path)
-    for own in arms.values():
-        for time in (own["velocity"].time, own["torque"].time):  # what lacks at either end is a gap as well
-            lacks = [Gap(start, float(time[0]) - start), Gap(float(time[-1]), end - float(time[-1]))]
-            cuts += [gap for gap in lacks if gap.length > MAX_INTERPOLATED_GAP_S]
-    impacts = [impact_time(own["position"], own["velocity"]) for own in arms.values()] if run.hit else []
+    for series in arms.values():
+        for time in (series["velocity"].time, series["torque"].time):  # missing samples at either end are a gap as well
+            end_gaps = [Gap(start, float(time[0]) - start), Gap(float(time[-1]), end - float(time[-1]))]
+            cuts += [gap for gap in end_gaps if gap.length > MAX_INTERPOLATED_GAP_S]
+    impacts = [impact_time(series["position"], series["velocity"]) for series in arms.values()] if run.hit else []
     if any(not start <= impact <= end for impact in impacts):
         raise TooShort("the joint positions do not reach to the impact", file=run.path)
     if not cuts:
@@ -607,25 +618,25 @@ def _pieces(
     first = [start, *sorted(gap.end for gap in cuts)]
     last = [*sorted(gap.start for gap in cuts), end]
     between = [(a, b) for a, b in zip(first, last, strict=True) if b > a]
-    used = [piece for piece in between if piece[1] - piece[0] >= MIN_PIECE_S]
+    pieces = [piece for piece in between if piece[1] - piece[0] >= MIN_PIECE_S]
     main = max([p for p in between if all(p[0] <= impact <= p[1] for impact in impacts)], key=_length)
     if impacts:
-        used = [piece for piece in used if piece[0] <= max(impacts)]
-    if main not in used:
-        what = "with the impact " if run.hit else ""
+        pieces = [piece for piece in pieces if piece[0] <= max(impacts)]
+    if main not in pieces:
+        with_impact = "with the impact " if run.hit else ""
         raise TooShort(
-            f"gaps leave {_length(main):.3f} s {what}in one piece, at least {MIN_PIECE_S} s are needed: gaps of "
+            f"gaps leave {_length(main):.3f} s {with_impact}in one piece, at least {MIN_PIECE_S} s are needed: gaps of "
             f"{gaps_in_words(sorted(cuts, key=lambda gap: gap.start), start)}",
             file=run.path,
         )
-    remarks.append(f"cut to {_intervals(used, start)}, for gaps > {MAX_INTERPOLATED_GAP_S:g} s")
+    remarks.append(f"cut to {_intervals(pieces, start)}, because of gaps > {MAX_INTERPOLATED_GAP_S:g} s")
     short = [piece for piece in between if _length(piece) < MIN_PIECE_S]
-    behind = [piece for piece in between if piece not in used and piece not in short]
+    after_impact = [piece for piece in between if piece not in pieces and piece not in short]
     if short:
-        remarks.append(f"skipped, for it is shorter than {MIN_PIECE_S} s: {_intervals(short, start)}")
-    if behind:
-        remarks.append(f"skipped, for it comes after the impact and a gap: {_intervals(behind, start)}")
-    return used, main
+        remarks.append(f"skipped, because it is shorter than {MIN_PIECE_S} s: {_intervals(short, start)}")
+    if after_impact:
+        remarks.append(f"skipped, because it comes after the impact and a gap: {_intervals(after_impact, start)}")
+    return pieces, main
 
 
 def _length(piece: tuple[float, float]) -> float:
@@ -650,9 +661,9 @@ def _on_grid(series: Series, grid: Array) -> Array:
 
 
 def _part(series: Series | None, grid: Array, none: Array) -> tuple[Array, Array]:
-    """Stamps from the start of the grid, and numbers, of what lies about it.
+    """Stamps from the start of the grid, ``(p,)`` [s], and numbers of a signal around it, ``(p, c)``.
 
-    A sample with the stamp of a state gets exactly the time of that state.
+    A sample on the grid up to rounding gets exactly the time of the grid.
     """
     if series is None:
         return np.zeros(0), none
@@ -670,24 +681,24 @@ def _warn_of_rates(
     main: tuple[float, float] | None,
     remarks: list[str],
 ) -> None:
-    """Say where stamps of joints are uneven, and where their rate is too low for a question.
+    """Warn of uneven stamps of joints, and of a rate too low for contact forces.
 
     Args:
         position: Joint positions of one arm.
-        grid: That of the run, ``(k,)`` [s].
+        grid: Grid of the run, ``(k,)`` [s].
         pieces: Used pieces.
-        main: The piece that matters most, of an arm whose stamps did not make the grid; None: they did.
+        main: Main piece, for an arm whose stamps did not make the grid; None: they did.
         remarks: Warnings, appended to.
     """
     raw = position.time[_inside(position.time, pieces)]
     period = float(grid[1] - grid[0])
     if main is not None:
-        own = even_grid(position.time[_inside(position.time, [main])])
-        period = max(period, float(own[1] - own[0]))
-    beside = np.abs(raw - grid[0] - period * np.rint((raw - grid[0]) / period)) / period
-    worst = float(np.percentile(beside, 99.0))
+        arm_grid = even_grid(position.time[_inside(position.time, [main])])
+        period = max(period, float(arm_grid[1] - arm_grid[0]))
+    deviation = np.abs(raw - grid[0] - period * np.rint((raw - grid[0]) / period)) / period
+    worst = float(np.percentile(deviation, 99.0))
     if worst > MAX_JITTER_PERIODS:
-        words = "{}: stamps lie up to {:.0f} % of a period beside an even grid; the samples are interpolated onto it"
+        words = "{}: stamps deviate by up to {:.0f} % of a period from an even grid; samples are interpolated onto it"
         remarks.append(remark(words, position.label, 100.0 * worst))
     if 1.0 / period < MIN_JOINT_RATE_HZ:
         words = "joints at {:.0f} Hz: the jump of an impact is seen, its force is not"
@@ -695,7 +706,7 @@ def _warn_of_rates(
 
 
 def _warn_of_pose_rate(pose: Series | None, remarks: list[str]) -> None:
-    """Say where the object is seen too seldom for a question."""
+    """Warn of a tracker too slow for velocities right after an impact."""
     if pose is not None and pose.time.size > 1:
         rate = 1.0 / float(np.median(np.diff(pose.time)))
         if rate < MIN_POSE_RATE_HZ:
@@ -712,16 +723,16 @@ def _with_gravity(
     laboratory: Laboratory, path: Path, arm: str, time: Array, position: Array, command_time: Array, command: Array
 ) -> Array:
     """Desired torque with gravity, ``(m, n)`` [N m]; checks ``command_includes_gravity`` against the numbers."""
-    at = np.column_stack([np.interp(command_time, time, column) for column in position.T])
+    position_at_commands = np.column_stack([np.interp(command_time, time, column) for column in position.T])
     included, model = laboratory.mappings[arm].command_includes_gravity, laboratory.models[arm]
-    whole = command if included else command + gravity_torques(model, at)
+    with_gravity = command if included else command + gravity_torques(model, position_at_commands)
     remedy = (
         "command_includes_gravity: false in the mapping, where it comes without the gravity torque"
         if included
         else "command_includes_gravity: true in the mapping, where it holds the gravity torque already"
     )
-    check_gravity_torque(path, "command", model, at, whole, remedy)
-    return whole
+    check_gravity_torque(path, "command", model, position_at_commands, with_gravity, remedy)
+    return with_gravity
 
 
 # ---- object ---------------------------------------------------------------------------------------------------------
@@ -733,36 +744,36 @@ def touches_of(task: tuple[Laboratory, RunRow]) -> list[PadOnFace]:
     wanted: tuple[SignalName, ...] = ("position", "velocity", *OBJECT_SIGNALS)
     try:
         arms = laboratory.series(run, wanted, wanted[:2])
-        seen = with_object(run.path, arms[laboratory.tracker], []).get("object_pose")
-        whole = {arm: laboratory.without_faults(arm, own, run.hit)[0] for arm, own in arms.items()}
-        found = [_touch(laboratory, run, arm, own, seen) for arm, own in whole.items()]
+        pose = with_object(run.path, arms[laboratory.tracker], []).get("object_pose")
+        cleaned = {arm: laboratory.without_faults(arm, series, run.hit)[0] for arm, series in arms.items()}
+        touches = [_touch(laboratory, run, arm, series, pose) for arm, series in cleaned.items()]
     except InputError as error:
         logger.debug("%s: not used to place the motion capture: %s", run.name, error)
         return []
-    # Arms that clamp an object move towards each other; it moves with their mean.
-    way = np.mean([touch.pad_displacement for touch in found], axis=0)
-    return [replace(touch, pad_displacement=way) for touch in found]
+    # Arms that clamp an object move towards each other; the object moves with their mean.
+    mean_displacement = np.mean([touch.pad_displacement for touch in touches], axis=0)
+    return [replace(touch, pad_displacement=mean_displacement) for touch in touches]
 
 
-def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, seen: Series | None) -> PadOnFace:
+def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, pose_series: Series | None) -> PadOnFace:
     assert run.object is not None
     joints, model = series["position"], laboratory.models[arm]
-    if seen is None or seen.time.size < 2:
+    if pose_series is None or pose_series.time.size < 2:
         raise InputError("the object was not tracked", file=run.path)
-    given = laboratory.motion_capture
-    tilted = given.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*given.rpy[:2], 0.0)})
-    pose = in_inertial_frame(tilted, run, seen.values)  # with roll and pitch, which hits do not determine
+    motion_capture = laboratory.motion_capture
+    tilted = motion_capture.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*motion_capture.rpy[:2], 0.0)})
+    pose = in_inertial_frame(tilted, run, pose_series.values)  # with roll and pitch, which hits do not determine
     impact = impact_time(joints, series["velocity"])
     first, last = (impact + moment for moment in FLAT_CONTACT_S)
-    times = seen.time[(seen.time >= first) & (seen.time <= last)]
+    times = pose_series.time[(pose_series.time >= first) & (pose_series.time <= last)]
     times = times if times.size else np.array([0.5 * (first + last)])
     pads = [model.placement(q) for q in joints.at(times)]
-    placed = replace(seen, values=pose)
-    objects = [pin.XYZQUATToSE3(row) for row in placed.at(times)]
-    still = np.median(pose[seen.time <= seen.time[0] + FIRST_POSE_S], axis=0)
+    in_tilted_frame = replace(pose_series, values=pose)
+    objects = [pin.XYZQUATToSE3(row) for row in in_tilted_frame.at(times)]
+    initial_pose = np.median(pose[pose_series.time <= pose_series.time[0] + FIRST_POSE_S], axis=0)
     size = np.array(laboratory.scenario.object(run.object).size)
-    ends = np.array([impact, min(impact + CARRIED_S, float(joints.time[-1]), float(seen.time[-1]))])
-    way = np.diff([model.placement(q).translation[:2] for q in joints.at(ends)], axis=0)[0]
+    ends = np.array([impact, min(impact + CARRIED_S, float(joints.time[-1]), float(pose_series.time[-1]))])
+    pad_displacement = np.diff([model.placement(q).translation[:2] for q in joints.at(ends)], axis=0)[0]
     return PadOnFace(
         run=run.name,
         pad=np.array([pad.translation for pad in pads]),
@@ -771,9 +782,9 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
         rotation=np.array([placement.rotation for placement in objects]),
         size=size,
         standing=height_on_support(laboratory.scenario, run.object, pin.XYZQUATToSE3(pose[0]).rotation),
-        standing_height=float(still[2]),
-        pad_displacement=way,
-        object_displacement=np.diff(placed.at(ends)[:, :2], axis=0)[0],
+        standing_height=float(initial_pose[2]),
+        pad_displacement=pad_displacement,
+        object_displacement=np.diff(in_tilted_frame.at(ends)[:, :2], axis=0)[0],
     )
 
 
@@ -792,8 +803,8 @@ def in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) -
     placed = np.empty_like(pose)
     for row, numbers in enumerate(pose):
         quaternion = numbers[3:] / np.linalg.norm(numbers[3:])
-        whole = world * pin.SE3(pin.Quaternion(quaternion).matrix(), numbers[:3]) * inner
-        placed[row] = pin.SE3ToXYZQUAT(whole)
+        placement = world * pin.SE3(pin.Quaternion(quaternion).matrix(), numbers[:3]) * inner
+        placed[row] = pin.SE3ToXYZQUAT(placement)
         if row and placed[row, 3:] @ placed[row - 1, 3:] < 0.0:  # the same attitude has two quaternions
             placed[row, 3:] *= -1.0
     return placed
@@ -802,17 +813,17 @@ def in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) -
 def _check_object(
     laboratory: Laboratory, run: RunRow, arm: str, time: Array, position: Array, object_time: Array, pose: Array
 ) -> list[str]:
-    """Check that the object rests on its support and that the pad of an arm reaches it; returns remarks."""
+    """Check that the object rests on the support and that the pad of an arm reaches it; returns warnings."""
     assert run.object is not None
     scenario = laboratory.scenario
     remarks = check_object(run.path, scenario, arm, run.object, object_time, pose)
-    during = (object_time >= time[0]) & (object_time <= time[-1])
-    if not np.any(during):
+    overlap = (object_time >= time[0]) & (object_time <= time[-1])
+    if not np.any(overlap):
         return remarks
-    at = np.column_stack([np.interp(object_time[during], time, column) for column in position.T])
+    position_at_poses = np.column_stack([np.interp(object_time[overlap], time, column) for column in position.T])
     size = np.array(scenario.object(run.object).size)
-    touching = check_touch(run.path, laboratory.models[arm], run.object, size, at, pose[during])
-    slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / MIN_POSE_RATE_HZ
-    return (
-        remarks if slow else [*remarks, *(remark("{}{}", laboratory.label(arm), one) for one in touching)]
-    )  # a slow tracker does not see where they meet
+    touch_warnings = check_touch(run.path, laboratory.models[arm], run.object, size, position_at_poses, pose[overlap])
+    slow_tracker = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / MIN_POSE_RATE_HZ
+    if slow_tracker:  # which does not record where pad and object meet
+        return remarks
+    return [*remarks, *(remark("{}{}", laboratory.label(arm), warning) for warning in touch_warnings)]

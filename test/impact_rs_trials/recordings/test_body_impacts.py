@@ -423,7 +423,7 @@ def test_impacts_of_any_body_become_a_table_with_its_shape(tmp_path: Path, kind:
     ("body", "message"),
     [
         ({}, "expected size, with shape, or mesh, or radius of a ball"),
-        ({"radius": 0.02, "size": (0.1, 0.1, 0.1)}, "radius is of a ball"),
+        ({"radius": 0.02, "size": (0.1, 0.1, 0.1)}, "radius is for a ball"),
         ({"mesh": "a.stl", "shape": "cylinder"}, "expected either shape or mesh"),
         ({"shape": "cylinder", "size": (0.1, 0.2, 0.1)}, "a cylinder is round"),
     ],

@@ -64,7 +64,7 @@ def test_hits_in_several_directions_tell_everything() -> None:
     found = contact_frame(touches, GIVEN, NO_YAW)
     np.testing.assert_allclose(found.position, WORLD.translation, atol=1e-8)
     assert found.yaw == pytest.approx(2.4, abs=1e-9)
-    assert found.kept is None
+    assert found.undetermined is None
     assert found.scatter < 1e-8
     assert found.tilt < 1e-8
     assert "stays as given" not in str(found)
@@ -76,7 +76,7 @@ def test_across_hits_in_one_direction_the_position_stays_as_given() -> None:
     found = contact_frame(touches, given, NO_YAW)
     np.testing.assert_allclose(found.position, [1.25, -0.7, 0.25], atol=1e-6)
     assert found.yaw == pytest.approx(2.4, abs=1e-6)
-    assert np.abs(found.kept) == pytest.approx([1.0, 0.0], abs=1e-6)
+    assert np.abs(found.undetermined) == pytest.approx([1.0, 0.0], abs=1e-6)
     assert found.error[0] < 1e-6
     assert "the position stays as given, for all hits are across that direction" in str(found)
     assert "in 4 hits: position [1.2500, -0.7000, 0.2500] m, yaw 2.4000 rad" in str(found)

@@ -154,5 +154,5 @@ def test_of_runs_that_are_called_alike_one_is_named_by_its_path(tmp_path: Path) 
         (tmp_path / folder / "run_1").mkdir(parents=True)
     table = runs(tmp_path, "monday/run_1,parcel,hit", "tuesday/run_1,parcel,hit")
     said = refusal(run_named, table, tmp_path, "run_1")
-    assert "several runs are called that: monday/run_1, tuesday/run_1" in said
+    assert "several runs have this name: monday/run_1, tuesday/run_1" in said
     assert run_named(table, tmp_path, "tuesday/run_1") is table[1]

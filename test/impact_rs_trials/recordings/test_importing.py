@@ -511,7 +511,7 @@ def test_groups_that_may_be_robots_are_not_left_out_in_silence(tmp_path: Path, m
     draft = iiwa(two_groups(tmp_path / "a.h5", motion, "arm"), tmp_path)
     assert draft.runs == 1
     (said,) = [remark for remark in draft.remarks if "hold arrays of the same names" in remark]
-    assert "groups arm_001, arm_002" in said and "{run} in place of their name" in said
+    assert "groups arm_001, arm_002" in said and "write {run} for the name of the group" in said
 
 
 def test_runs_that_no_path_can_name_are_refused_with_the_reason(tmp_path: Path, motion: Columns) -> None:
@@ -763,13 +763,13 @@ def test_runs_that_contradict_the_first_are_named(tmp_path: Path, motion: Column
     )
     alike = iiwa(tmp_path / "raw", tmp_path, "one")
     assert said_of(alike, "runs").startswith("1 of 1 others units and signs of run_1.csv hold")
-    assert not any("is not as" in remark for remark in alike.remarks)
+    assert not any("differs from" in remark for remark in alike.remarks)
     write(tmp_path / "raw" / "run_3.csv", NAMES, [TIME, *signals[:2], -signals[2]])
     write(tmp_path / "raw" / "run_4.csv", NAMES, [TIME, np.degrees(signals[0]), *signals[1:]])
     write(tmp_path / "raw" / "run_5.csv", NAMES, [TIME, signals[0], -signals[1], signals[2]])
     write(tmp_path / "raw" / "run_6.csv", NAMES[:8], [TIME, signals[0]])
     draft = iiwa(tmp_path / "raw", tmp_path, "two")
-    said = [remark for remark in draft.remarks if "is not as run_1.csv, of which the description was made" in remark]
+    said = [remark for remark in draft.remarks if "differs from run_1.csv, from which the mapping was made" in remark]
     assert [remark.split(" ")[0] for remark in said] == ["run_3.csv", "run_4.csv", "run_5.csv", "run_6.csv"]
     assert "as described its torques are -1 times the torque that gravity and inertia" in said[0]
     assert "its positions do not lie within the limits of the joints but in deg" in said[1]
@@ -810,7 +810,7 @@ def test_a_run_that_cannot_be_read_is_named(tmp_path: Path, motion: Columns) -> 
     (tmp_path / "raw" / "object_1_hit_1.csv").write_text("RosTime,Position,Orientation\n1,none,0 0 0 1\n")
     draft = iiwa(tmp_path / "raw", tmp_path)
     assert draft.texts["runs.csv"].splitlines()[1:] == ["0,OBJECT,hit"]
-    assert any(remark.startswith("1 is left out, for the reader refuses it: ") for remark in draft.remarks)
+    assert any(remark.startswith("1 is left out, because the reader refuses it: ") for remark in draft.remarks)
 
 
 JOINTS = ("lift_joint", "arm_1_joint", "arm_2_joint", "elbow", "arm_4_joint", "wrist_a", "wrist_b")

@@ -298,9 +298,9 @@ def test_a_run_is_cut_to_the_piece_with_the_impact(laboratory: LaboratoryFolder)
     assert signals.time[0] == 0.0
     assert signals.time[-1] == pytest.approx(0.479)  # the first command comes right after the first state
     assert {
-        "cut to 0.220 ... 0.700 s, for gaps > 0.01 s",
-        "skipped, for it is shorter than 0.3 s: 0.000 ... 0.200 s",
-        "skipped, for it comes after the impact and a gap: 0.750 ... 1.599 s",
+        "cut to 0.220 ... 0.700 s, because of gaps > 0.01 s",
+        "skipped, because it is shorter than 0.3 s: 0.000 ... 0.200 s",
+        "skipped, because it comes after the impact and a gap: 0.750 ... 1.599 s",
     } <= set(run.remarks)
     assert run.gaps == ()
     assert -0.1 < signals.arms["arm"].command_time[0] < 0.0  # a command holds until the next: those before are needed
@@ -321,8 +321,8 @@ def test_free_motion_keeps_all_pieces_on_one_grid(laboratory: LaboratoryFolder) 
         np.testing.assert_array_equal(getattr(run.signals.arms["arm"], name)[kept], getattr(whole, name)[kept])
     remarks = "\n".join(run.remarks)
     assert "gaps of 0.050 s at t = 0.400 s, 0.060 s at t = 0.900 s, 0.020 s at t = 1.000 s" in remarks
-    assert "cut to 0.000 ... 0.400 s, 0.450 ... 0.900 s, 1.020 ... 1.999 s, for gaps > 0.01 s" in remarks
-    assert "skipped, for it is shorter than 0.3 s: 0.960 ... 1.000 s" in remarks
+    assert "cut to 0.000 ... 0.400 s, 0.450 ... 0.900 s, 1.020 ... 1.999 s, because of gaps > 0.01 s" in remarks
+    assert "skipped, because it is shorter than 0.3 s: 0.960 ... 1.000 s" in remarks
 
 
 def test_a_hit_keeps_the_free_motion_before_a_gap(laboratory: LaboratoryFolder) -> None:
