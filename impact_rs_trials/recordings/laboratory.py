@@ -566,7 +566,7 @@ def _check_overlap(path: Path, base: Series, series: ArmSeries) -> None:
             raise InputError(
                 f"{signal.label} spans {signal.time[0]:.3f} ... {signal.time[-1]:.3f} s, {base.label} "
                 f"{base.time[0]:.3f} ... {base.time[-1]:.3f} s: another clock, or another run? In the "
-                "mapping signals.NAME.delay shifts a signal, and signals.NAME.clock: own finds the offset from the motion",
+                "mapping signals.NAME.delay shifts a signal, and clock: own finds the offset from the motion",
                 file=path,
             )
 

@@ -5,7 +5,7 @@ One mapping serves bags (topic, message type and field), tables (CSV, text, Parq
 files of arrays (NPZ, HDF5, MAT: an array per signal). Names of signals are data; a mapping gives meaning and unit.
 
 In ``topic``, ``child_frame``, ``file``, ``joints`` and column names ``{object}`` stands for the object of a run,
-``{arm}`` for the arm of its scenario and ``{run}`` for the run's own name.
+``{arm}`` for the arm of its scenario and ``{run}`` for the name of the run.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalNa
 
 
 TimeUnit = Literal["s", "ms", "us", "ns", "date", "frames"]
-StampNames = str | tuple[str, str]  # column or array of stamps; or of whole seconds and of nanoseconds beside them
+StampNames = str | tuple[str, str]  # column or array of stamps; or two, of whole seconds and of nanoseconds
 
 
 class TableLayout(Schema):
@@ -246,7 +246,7 @@ class Mapping(Schema):
     @model_validator(mode="after")
     def _pairs_are_seconds(self) -> Self:
         clocks = [("time.", self.time, "time.unit")]
-        clocks += [(f"signals.{name}.time_", self.clock(one), "time_unit") for name, one in self.signals.items()]
+        clocks += [(f"signals.{name}.time_", self.clock(source), "time_unit") for name, source in self.signals.items()]
         for before, clock, unit in clocks:
             for key, names in (("column", clock.column), ("array", clock.array)):
                 if not isinstance(names, str) and (clock.unit != "s" or clock.steps):
@@ -269,17 +269,19 @@ class Mapping(Schema):
             for unit in source.units:
                 if unit not in units:
                     raise ValueError(f"signals.{name}.unit is {unit!r}, expected one of: {', '.join(units)}")
-            for key, what, allowed in (("columns", "columns", widths), ("entries", "numbers", widths[:1])):
-                own = getattr(source, key)
-                if own is not None and len(own) not in allowed:
-                    raise ValueError(f"signals.{name}.{key} lists {len(own)} {what}, expected {widths[0]}")
+            for key, noun, allowed in (("columns", "columns", widths), ("entries", "numbers", widths[:1])):
+                listed = getattr(source, key)
+                if listed is not None and len(listed) not in allowed:
+                    raise ValueError(f"signals.{name}.{key} lists {len(listed)} {noun}, expected {widths[0]}")
             per_column = "factor" if name == "object_position" and source.columns is not None else ""
-            wanted = len(source.columns) if source.columns is not None else widths[0]
-            for key, what in (("unit", "units"), ("factor", "numbers"), ("offset", "numbers")):
-                own = getattr(source, key)
-                if isinstance(own, tuple) and (len(own) != wanted or not (of_joints or key == per_column)):
-                    expected = f"one or {wanted}, one per joint" if of_joints else "one"
-                    raise ValueError(f"signals.{name}.{key} lists {len(own)} {what}, expected {expected}")
+            expected_count = len(source.columns) if source.columns is not None else widths[0]
+            for key, noun in (("unit", "units"), ("factor", "numbers"), ("offset", "numbers")):
+                listed = getattr(source, key)
+                if isinstance(listed, tuple) and (
+                    len(listed) != expected_count or not (of_joints or key == per_column)
+                ):
+                    expected = f"one or {expected_count}, one per joint" if of_joints else "one"
+                    raise ValueError(f"signals.{name}.{key} lists {len(listed)} {noun}, expected {expected}")
             if not of_joints and source.offset != 0.0:
                 raise ValueError(f"signals.{name}.offset is {source.offset:g}, expected none: it is for joints")
             several = (
@@ -288,17 +290,17 @@ class Mapping(Schema):
             if source.entries is not None and (not several or source.names is not None):
                 raise ValueError(
                     f"signals.{name}.entries is for an array, a field of messages without names, or a column whose "
-                    "cells hold several numbers; columns names those of tables with one number in a cell, joints those "
-                    "of messages with names"
+                    "cells hold several numbers; for a table with a number per cell use columns, for messages with "
+                    "names joints"
                 )
             if source.columns is not None and source.column is not None:
                 raise ValueError(f"signals.{name} has both column and columns, expected one of them")
         self._object_is_described_once()
-        for holder, before in ((self, ""), (self.servo, "servo.")):
+        for holder, prefix in ((self, ""), (self.servo, "servo.")):
             for key in ("motor_inertia", "torque_constant", "kp", "kd", "torque_max"):
-                own = getattr(holder, key, None)
-                if own is not None and len(own) != len(self.joints):
-                    raise ValueError(f"{before}{key} has {len(own)} entries, expected {len(self.joints)}")
+                gains = getattr(holder, key, None)
+                if gains is not None and len(gains) != len(self.joints):
+                    raise ValueError(f"{prefix}{key} has {len(gains)} entries, expected {len(self.joints)}")
         self._currents_have_constants()
         return self
 
@@ -314,7 +316,7 @@ class Mapping(Schema):
                 )
             return
         if "torque" in self.signals:
-            raise ValueError("servo stands for a torque that was not recorded, and signals has torque; expected one")
+            raise ValueError("signals has a torque and servo computes one; expected one of them")
         if "q_desired" not in self.signals:
             raise ValueError("servo needs signals.q_desired, the desired positions")
         if self.torque_measured_at != "motor":
@@ -341,7 +343,7 @@ class Mapping(Schema):
         if self.joints:
             raise ValueError("joints has names, but robot is none; expected a robot, or no joints")
         if strange := [name for name in self.signals if name in JOINT_SIGNALS]:
-            raise ValueError(f"signals.{strange[0]} is of joints, but robot is none; expected a robot")
+            raise ValueError(f"signals.{strange[0]} is a signal of joints, but robot is none; expected a robot")
         if not {"object_pose", "object_position"} & set(self.signals):
             raise ValueError("signals.object_pose is missing; an object alone needs its pose, or object_position")
 
@@ -350,12 +352,12 @@ class Mapping(Schema):
         if parts and "object_pose" in self.signals:
             raise ValueError(f"signals has both object_pose and {parts[0]}, expected one of them")
         if len(parts) == 1 and not (self.robot == NO_ROBOT and parts == ["object_position"]):
-            raise ValueError(f"signals.{parts[0]} stands alone, expected object_position and object_quaternion")
+            raise ValueError(f"signals has {parts[0]} alone, expected object_position and object_quaternion")
 
     def clock(self, source: SignalSource) -> TimeSource:
-        """Timestamps of a signal: its own, and the mapping's where it has none."""
-        own = {"column": source.time_column, "array": source.time_array, "unit": source.time_unit}
-        return self.time.model_copy(update={key: value for key, value in own.items() if value is not None})
+        """Timestamps of a signal; keys that the signal lacks are those of the mapping."""
+        signal_time = {"column": source.time_column, "array": source.time_array, "unit": source.time_unit}
+        return self.time.model_copy(update={key: value for key, value in signal_time.items() if value is not None})
 
     @property
     def spread(self) -> bool:
@@ -389,9 +391,9 @@ class Mapping(Schema):
             raise InputError(f"{self.robot} has {facts.joint_count} joints, the mapping names {len(self.joints)}")
         for name in self.signals:
             for joint, origin in enumerate(facts.joints if name in JOINT_SIGNALS else ()):
-                moves, known = ("slides", SLIDES) if origin.type == "prismatic" else ("turns", TURNS)
-                if (unit := self.unit(name, joint)) not in known[QUANTITY[name]]:
-                    expected = " or ".join(known[QUANTITY[name]])
+                moves, units = ("slides", SLIDES) if origin.type == "prismatic" else ("turns", TURNS)
+                if (unit := self.unit(name, joint)) not in units[QUANTITY[name]]:
+                    expected = " or ".join(units[QUANTITY[name]])
                     raise InputError(
                         f"joint {joint + 1} of {self.robot} {moves}, expected {expected}; a list has one for each",
                         key=f"signals.{name}.unit",
@@ -419,7 +421,7 @@ class Mapping(Schema):
         return units[joint] if len(units) > 1 else units[0]
 
     def factor(self, signal: SignalName) -> Array:
-        """Factor from the numbers in the file to SI, ``()`` or ``(n,)``."""
+        """Factor from the numbers in the file to SI units, ``()`` or ``(n,)``."""
         return np.asarray(self._of_unit(signal) * np.asarray(self.signals[signal].factor))
 
     def offset(self, signal: SignalName) -> Array:
@@ -434,7 +436,7 @@ class Mapping(Schema):
         return (of_unit if of_unit.size > 1 else of_unit[0]) * np.asarray(1.0 if constant is None else constant)
 
     def to_si(self, signal: SignalName, values: Array) -> Array:
-        """Numbers of a table or array in SI units; quaternions end up in the order x y z w.
+        """Numbers of a table or array in SI units; quaternions in the order x y z w.
 
         Args:
             signal: Their signal.
@@ -465,8 +467,8 @@ def load_mapping(name: str | Path) -> Mapping:
     if path.suffix not in (".yaml", ".yml"):
         path = config_directory() / "mappings" / f"{name}.yaml"
         if not is_file(path):
-            known, given = mapping_names(), shortened(str(name))
-            raise InputError(f"no mapping {given!r}{did_you_mean(given, known)}; known: {', '.join(known)}")
+            names, given = mapping_names(), shortened(str(name))
+            raise InputError(f"no mapping {given!r}{did_you_mean(given, names)}; known: {', '.join(names)}")
     mapping = load(Mapping, path)
     if not mapping.robot.endswith((".yaml", ".yml")):
         return mapping

@@ -40,15 +40,15 @@ from impact_rs_trials.runs import ArmSignals, Run, Signals
 logger = logging.getLogger(__name__)
 
 ARM = "arm"  # name of the arm of a recording
-MAX_GAP_LOW_PASS_PERIODS = 0.1  # of the filter whose window the gap falls into; beyond it the gap cuts the recording
+MAX_GAP_LOW_PASS_PERIODS = 0.1  # of the low-pass; a longer gap cuts the recording
 MIN_RECORDING_SAMPLES = 100
 MAX_NAMED_RECORDINGS = 3  # in a message
 MAX_SATURATED_SHARE = 0.5  # of the samples of a servo, beyond which its gain or target has another unit
 SERVO_SIGNALS: tuple[SignalName, ...] = ("position", "velocity", "q_desired")
 SAMPLED_SIGNALS: tuple[SignalName, ...] = ("position", "velocity", "torque", "motor_position", "motor_velocity")
-MIN_TAIL_LOW_PASS_PERIODS = 4.2  # that a piece loses at its ends,
-MIN_KEPT_SAMPLES = 60  # between these,
-MAX_RATE_PER_LOW_PASS = 10.0  # of them, per period of the low-pass
+MIN_TAIL_LOW_PASS_PERIODS = 4.2  # that a piece loses at its ends
+MIN_KEPT_SAMPLES = 60  # between the ends
+MAX_RATE_PER_LOW_PASS = 10.0  # of these samples, per period of the low-pass
 
 
 class TooShort(InputError):
@@ -56,16 +56,16 @@ class TooShort(InputError):
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether ``path`` is a recording, or a folder of recordings, without a trial of ours (no ``/trial_info``)."""
+    """Whether ``path`` is a recording, or a folder of them, and none is a trial of impact_rs (``/trial_info``)."""
     if path.is_file():
-        found = [path] if suffix_of(path) in FILE_SUFFIXES else []
+        recordings = [path] if suffix_of(path) in FILE_SUFFIXES else []
     else:
         try:
-            found = find_recordings(path)
+            recordings = find_recordings(path)
         except InputError as error:
             logger.debug("not taken for a recording: %s", error)
             return False
-    return bool(found) and not any(_is_trial(item) for item in found)
+    return bool(recordings) and not any(_is_trial(item) for item in recordings)
 
 
 def _is_trial(path: Path) -> bool:
@@ -89,19 +89,19 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
 
 
 def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tuple[str, str]]]:
-    """The recordings of :func:`read_recordings` but for those that are too short; their paths, and why.
+    """The recordings of :func:`read_recordings` that are long enough; path and reason of the others.
 
     Raises:
         InputError: A recording cannot be used, or none is long enough.
     """
-    found = find_runs(path, mapping)
+    recordings = find_runs(path, mapping)
     runs: list[Run] = []
     left_out: list[tuple[str, str]] = []
-    for item in found:
+    for item in recordings:
         try:
             runs += _pieces(item, mapping)
         except TooShort as error:
-            if len(found) == 1:
+            if len(recordings) == 1:
                 raise
             left_out.append((str(item), error.message))
     if not runs:
@@ -111,31 +111,37 @@ def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tupl
 
 
 def _pieces(path: Path, mapping: Mapping) -> list[Run]:
-    """One recording, checked, in the pieces that gaps and faults of sensors leave of it."""
+    """One recording, checked, cut at gaps and faults of sensors."""
     needed = REQUIRED if mapping.servo is None else SERVO_SIGNALS
     recorded = read_series(path, mapping, JOINT_SIGNALS, needed)
-    recorded |= {name: one.filled().without_held() for name, one in recorded.items() if name in SAMPLED_SIGNALS}
-    recorded, set_back = without_steps_back(recorded)
-    measured = {name: one for name, one in recorded.items() if name != "velocity" or name in mapping.signals}
-    recorded, lost = without_lost_rows(measured)
+    recorded |= {name: signal.filled().without_held() for name, signal in recorded.items() if name in SAMPLED_SIGNALS}
+    recorded, steps_back_remarks = without_steps_back(recorded)
+    measured = {name: signal for name, signal in recorded.items() if name != "velocity" or name in mapping.signals}
+    recorded, lost_row_remarks = without_lost_rows(measured)
     if "velocity" not in mapping.signals:
         recorded["velocity"] = recorded["position"].derivative()
-    gaps_said = _checked_times(path, recorded, needed, mapping)
+    gap_remarks = _checked_times(path, recorded, needed, mapping)
     model = mapping.robot_model()
     recorded = on_one_clock(path, recorded, mapping, model)
     series, remarks = without_faults(recorded, mapping, model)
     if mapping.servo is not None:
-        series, saturated = with_servo_torque(path, series, mapping)
-        remarks += saturated
-    remarks = [*set_back, *lost, *gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
+        series, saturation_remarks = with_servo_torque(path, series, mapping)
+        remarks += saturation_remarks
+    remarks = [
+        *steps_back_remarks,
+        *lost_row_remarks,
+        *gap_remarks,
+        *_unmeasured(path, series["torque"], mapping),
+        *remarks,
+    ]
     time = series["position"].time
-    if (resting := at_rest(time, series["position"].values, mapping.facts)) is not None:
-        raise TooShort(resting, file=path)
-    remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
-    found = []
+    if (rest_reason := at_rest(time, series["position"].values, mapping.facts)) is not None:
+        raise TooShort(rest_reason, file=path)
+    remarks = list(dict.fromkeys([*(remark for signal in series.values() for remark in signal.remarks), *remarks]))
+    pieces = []
     for first, last in _between_faults(series, mapping.low_pass):
         rows = (time >= first) & (time <= last)
-        signals = {name: one.at(time[rows]) for name, one in series.items()}
+        signals = {name: signal.at(time[rows]) for name, signal in series.items()}
         command_time = {"command_time": time[rows]} if "command" in signals else {}
         arm = ArmSignals(**signals, **command_time)
         check_arm(path, time[rows], arm, mapping)
@@ -143,10 +149,13 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
             arm = replace(arm, torque=whole_torque(path, time[rows], arm, mapping.torque_meaning, model))
         elif mapping.servo is not None or mapping.signals["torque"].units[0] not in CURRENTS:
             check_includes_gravity(path, time[rows], arm, model)
-        nominal = timestamp_warning(time[rows], arm.position)
-        warnings = [*arm_warnings(time[rows], arm, mapping, model), *([] if nominal is None else [nominal])]
+        nominal_stamps = timestamp_warning(time[rows], arm.position)
+        warnings = [
+            *arm_warnings(time[rows], arm, mapping, model),
+            *([] if nominal_stamps is None else [nominal_stamps]),
+        ]
         remarks += [text for text in warnings if text not in remarks]
-        found.append(
+        pieces.append(
             Run(
                 path=path,
                 name=path.name,
@@ -159,25 +168,25 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
                 remarks=tuple(remarks),
             )
         )
-    if not found:
+    if not pieces:
         raise TooShort(f"no piece is long enough: {'; '.join(remarks)}", file=path)
-    return found
+    return pieces
 
 
 def _checked_times(
     path: Path, recorded: dict[SignalName, Series], needed: Collection[SignalName], mapping: Mapping
 ) -> list[str]:
-    """Check times and numbers of the signals; returns one warning for all signals with the same gaps."""
-    gaps_of: dict[str, list[str]] = {}  # places by the text about their gaps
-    for name, one in recorded.items():
-        if name not in mapping.signals:  # the velocity, which is made of the position
+    """Check times and numbers of the signals; returns a warning per gap, with all signals that have it."""
+    clocks_by_text: dict[str, list[str]] = {}  # clocks by the text about their gaps
+    for name, signal in recorded.items():
+        if name not in mapping.signals:  # the velocity, which was computed from the position
             continue
-        what = one.label if name == "position" or one.log is not None else f"time of {one.label}"
-        for text in _check_time(path, one.time, what, mapping.low_pass):
-            gaps_of.setdefault(text, []).append(what)
+        clock = signal.label if name == "position" or signal.log is not None else f"time of {signal.label}"
+        for text in _check_time(path, signal.time, clock, mapping.low_pass):
+            clocks_by_text.setdefault(text, []).append(clock)
         if name in needed:
-            _check_numbers(path, name, one.time, one.values)
-    return [f"{', '.join(places)}: {text}" for text, places in gaps_of.items()]
+            _check_numbers(path, name, signal.time, signal.values)
+    return [f"{', '.join(clocks)}: {text}" for text, clocks in clocks_by_text.items()]
 
 
 def with_servo_torque(
@@ -195,9 +204,9 @@ def with_servo_torque(
     """
     law = mapping.servo_law
     assert law is not None
-    position, wanted = series["position"], series["q_desired"]
+    position, desired_position = series["position"], series["q_desired"]
     time, q, dq = position.time, position.values, series["velocity"].at(position.time)
-    target = wanted.on(time)
+    target = desired_position.on(time)
     rate = series["dq_desired"].on(time) if "dq_desired" in series else np.gradient(target, time, axis=0)
     shares = np.mean(np.abs(law.unlimited(q, dq, target, rate)) > law.torque_max, axis=0)
     remarks = []
@@ -212,23 +221,25 @@ def with_servo_torque(
                 file=path,
                 key="servo.kp of the mapping",
             )
-        remarks.append(f"{text}, which is taken for its torque there (servo.torque_max of the mapping)")
-    torque = Series(f"servo of {wanted.label}", time, law.torque(q, dq, target, rate))
-    desired: dict[SignalName, Series] = {
-        "q_desired": Series(wanted.label, time, target),
-        "dq_desired": Series(wanted.label, time, rate),
+        remarks.append(f"{text}, and its torque is taken to be that limit (servo.torque_max of the mapping)")
+    torque = Series(f"servo of {desired_position.label}", time, law.torque(q, dq, target, rate))
+    resampled: dict[SignalName, Series] = {
+        "q_desired": Series(desired_position.label, time, target),
+        "dq_desired": Series(desired_position.label, time, rate),
     }
-    return {**series, **desired, "torque": torque}, remarks
+    return {**series, **resampled, "torque": torque}, remarks
 
 
 def _unmeasured(path: Path, torque: Series, mapping: Mapping) -> list[str]:
     """Warnings about joints whose torque never changes; their torque balance is omitted."""
     constant = np.ptp(torque.values, axis=0) == 0.0
     if np.all(constant):
-        raise InputError(f"{torque.label} (torque): no joint's torque ever changes: nothing was measured", file=path)
+        raise InputError(
+            f"{torque.label} (torque): the torque of no joint ever changes: nothing was measured", file=path
+        )
     return [
         f"torque of joint {joint + 1} is {torque.values[0, joint]:.3g} {mapping.facts.units[joint].effort} in all "
-        "samples: it was not measured, and its balance is left out"
+        "samples: it was not measured, and its torque balance is left out"
         for joint in np.flatnonzero(constant)
     ]
 
@@ -243,9 +254,9 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
     """
     facts = mapping.facts
     count = facts.joint_count
-    known = mapping.torque_measured_at == "motor" and mapping.motor_inertia is not None
-    inertia = np.array(mapping.motor_inertia) if known else np.zeros(count)
-    places = [model.placement(q).translation for q in position[:: max(1, len(position) // 50)]]
+    has_motor_inertia = mapping.torque_measured_at == "motor" and mapping.motor_inertia is not None
+    inertia = np.array(mapping.motor_inertia) if has_motor_inertia else np.zeros(count)
+    tip_positions = [model.placement(q).translation for q in position[:: max(1, len(position) // 50)]]
     arm = ArmPhysics(
         facts=facts,
         base=mapping.base,
@@ -260,7 +271,7 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
         actuation_delay=0.0,
         pad_stiffness=None,
         pad_damping=0.0,
-        impact_position=np.mean(places, axis=0),
+        impact_position=np.mean(tip_positions, axis=0),
         assumed=facts.assumed,
     )
     nothing = ObjectPhysics(1.0, np.ones(3), np.ones(3), np.zeros(3))
@@ -270,20 +281,20 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
 def _between_faults(series: dict[SignalName, Series], low_pass: float) -> list[tuple[float, float]]:
     """Stretches with all joint signals measured, long enough for the low-pass [s]."""
     needed = [series[name].time for name in REQUIRED]
-    if min(own.size for own in needed) < MIN_RECORDING_SAMPLES:
+    if min(stamps.size for stamps in needed) < MIN_RECORDING_SAMPLES:
         return []
     time = series["position"].time
     period = float(np.median(np.diff(time)))
-    start, end = max(float(own[0]) for own in needed), min(float(own[-1]) for own in needed)
-    cuts = [gap for own in needed for gap in gaps(own, _longest_gap(period, low_pass))]
+    start, end = max(float(stamps[0]) for stamps in needed), min(float(stamps[-1]) for stamps in needed)
+    cuts = [gap for stamps in needed for gap in gaps(stamps, _longest_gap(period, low_pass))]
     if not cuts and start <= time[0] + MAX_BRIDGED_PERIODS * period and end >= time[-1] - MAX_BRIDGED_PERIODS * period:
         return [(float(time[0]), float(time[-1]))]
     firsts = [start, *sorted(gap.end for gap in cuts)]
     lasts = [*sorted(gap.start for gap in cuts), end]
-    least = MIN_TAIL_LOW_PASS_PERIODS / low_pass + MIN_KEPT_SAMPLES * max(
+    min_length = MIN_TAIL_LOW_PASS_PERIODS / low_pass + MIN_KEPT_SAMPLES * max(
         period, 1.0 / (MAX_RATE_PER_LOW_PASS * low_pass)
     )
-    return [(a, b) for a, b in zip(firsts, lasts, strict=True) if b - a >= least]
+    return [(a, b) for a, b in zip(firsts, lasts, strict=True) if b - a >= min_length]
 
 
 def _longest_gap(period: float, low_pass: float) -> float:
@@ -291,16 +302,16 @@ def _longest_gap(period: float, low_pass: float) -> float:
     return max(MAX_BRIDGED_PERIODS * period, MAX_GAP_LOW_PASS_PERIODS / low_pass)
 
 
-def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str]:
-    """Check that timestamps increase; returns a warning about gaps, if there are any: they cut the recording."""
+def _check_time(path: Path, time: Array, label: str, low_pass: float) -> list[str]:
+    """Check that timestamps increase; returns a warning about gaps, which cut the recording."""
     if time.size < MIN_RECORDING_SAMPLES:
-        raise TooShort(f"{what}: {time.size} samples, at least {MIN_RECORDING_SAMPLES} are needed", file=path)
-    check_stamps(path, what, time)
+        raise TooShort(f"{label}: {time.size} samples, at least {MIN_RECORDING_SAMPLES} are needed", file=path)
+    check_stamps(path, label, time)
     period = float(np.median(np.diff(time)))
-    found = gaps(time, _longest_gap(period, low_pass))
-    if not found:
+    long_gaps = gaps(time, _longest_gap(period, low_pass))
+    if not long_gaps:
         return []
-    text = gaps_in_words(found, time[0])
+    text = gaps_in_words(long_gaps, time[0])
     return [f"gap of {text} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
 
 
@@ -315,7 +326,7 @@ def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefl
         briefly: Share of the samples in which a velocity or torque may be beyond its limit, as in an impact [-].
 
     Raises:
-        InputError: It is not; the message names signal, joint, time, value and expected range.
+        InputError: A signal is not; the message names signal, joint, time, value and expected range.
     """
     for name in REQUIRED:
         _check_numbers(path, name, time, getattr(arm, name))
@@ -344,24 +355,24 @@ def check_limits(
         time: Stamps, ``(k,)`` [s].
         values: SI, ``(k, n)``.
         mapping: Knows robot and units.
-        briefly: Share of a joint's samples that may be beyond their limit, as in an impact or where outliers are left
-            out later [-].
+        briefly: Share of the samples of a joint that may be beyond the limit, as in an impact or where outliers are
+            left out later [-].
 
     Raises:
-        InputError: It is not; the message names signal, joint, time, value and expected range.
+        InputError: The signal is not; the message names signal, joint, time, value and expected range.
     """
     limits = mapping.facts.limits
     if name == "position":
         ends = zip(limits.position_min_rad, limits.position_max_rad, strict=True)
-        expected, quantity = [f"{least:.3g} ... {most:.3g}" for least, most in ends], "position"
+        expected, quantity = [f"{lowest:.3g} ... {highest:.3g}" for lowest, highest in ends], "position"
     else:
-        most, quantity = (limits.velocity_rad_s, "velocity") if name == "velocity" else (limits.torque_Nm, "effort")
-        expected = [f"at most {limit:.3g}" for limit in most]
-    wrong = beyond_data_sheet(name, values, mapping.facts)
-    wrong &= wrong.mean(axis=0) > briefly
-    if not np.any(wrong):
+        highest, quantity = (limits.velocity_rad_s, "velocity") if name == "velocity" else (limits.torque_Nm, "effort")
+        expected = [f"at most {limit:.3g}" for limit in highest]
+    beyond_limit = beyond_data_sheet(name, values, mapping.facts)
+    beyond_limit &= beyond_limit.mean(axis=0) > briefly
+    if not np.any(beyond_limit):
         return
-    row, joint = np.argwhere(wrong)[0]
+    row, joint = np.argwhere(beyond_limit)[0]
     value, unit = values[row, joint], getattr(mapping.facts.units[joint], quantity)
     stated = name if name in mapping.signals else "position"  # whose derivative it is
     raise InputError(
@@ -383,12 +394,12 @@ def check_velocity(path: Path, time: Array, position: Array, velocity: Array, ma
         mapping: Knows the units.
 
     Raises:
-        InputError: They are not, by a factor of two and more.
+        InputError: Velocities differ from the derivative by a factor of two or more.
     """
     derived = np.gradient(position, time, axis=0)
-    apart = np.any([beyond_data_sheet("velocity", one, mapping.facts) for one in (derived, velocity)], axis=0)
-    apart &= apart.mean(axis=0) <= MAX_OUTLIER_SHARE  # single samples say nothing of a unit
-    derived, velocity = np.where(apart, 0.0, derived), np.where(apart, 0.0, velocity)
+    outliers = np.any([beyond_data_sheet("velocity", rates, mapping.facts) for rates in (derived, velocity)], axis=0)
+    outliers &= outliers.mean(axis=0) <= MAX_OUTLIER_SHARE  # single samples are no evidence of a unit
+    derived, velocity = np.where(outliers, 0.0, derived), np.where(outliers, 0.0, velocity)
     if not np.any(derived):
         return
     ratio = float(pooled(derived, velocity).factor[0])

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear relations between signals: factor, lag, correlation, standard errors and likelihood, column by column.
 
-Positions predict the other signals of the joints: velocities are dq/dt, torques are M ddq + h. A
-measured signal y_j differs from the expected one x_j by unit and sign, by a lag, by friction and by noise:
+Positions predict the other signals of the joints: velocities are dq/dt, torques are M ddq + h. A measured signal y_j
+differs from its prediction x_j by unit and sign, by a lag, by friction and by noise:
 
     y_j = a_j x_j + sum_i c_ij z_ij + noise
 
-Least squares gives a_j after the further columns z_ij were projected out of x_j and y_j (Frisch and Waugh 1933). With
-the residuals r of N samples that hold k independent errors (moving averages over w samples leave k = N / w)
+Least squares gives a_j after projection of x_j and y_j to the complement of the further columns z_ij (Frisch and Waugh
+1933). With the residuals r of N samples, of which k are independent (k = N / w after moving averages over w samples),
 
     standard error     s_a^2 = (sum r^2 / k) / sum x^2
     correlation        sum x y / sqrt(sum x^2 sum y^2)                          about zero: signals have a true zero
     log likelihood     -k/2 log(sum r^2 / sum y^2)                              of normal noise, its size marginalised
     lag, first order   y = a x(t - L)  ~  a x - a L dx/dt
 
-Callers draw their own conclusions. The thresholds of these stand side by side in this module.
+Conclusions are drawn by the callers; all their thresholds are in this module.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ SAME_UNIT_FACTORS = (0.8, 1.25)  # the unit is found: low-passed velocities diff
 PLAUSIBLE_FACTORS = (0.5, 2.0)  # outside: wrong unit, sign or joint; rough models, friction and loads stay inside
 SINGLE_GRAVITY_FACTORS = (0.5, 1.5)  # of the gravity torque in a torque; gravity added twice has the factor 2
 TORQUE_UNIT_FACTORS = (0.2, 5.0)  # a unit of torque is possible: N m and mN m differ by 1000
-MAX_FACTOR_ERROR = 0.1  # of a velocity: a low-pass takes away as much
-MIN_REPORTED_SIGMA = 5.0  # standard errors; joints, runs and signals are many tests
+MAX_FACTOR_ERROR = 0.1  # of a velocity: a low-pass attenuates as much
+MIN_REPORTED_SIGMA = 5.0  # standard errors; many joints, runs and signals are tested
 # Correlations [-].
 MIN_CORRELATION = 0.8  # a factor is believed
 MIN_CORRELATION_OF_COLUMNS = 0.95  # a column without a name is the derivative of another one
 MAX_CORRELATION_DRIVING = -0.5  # of torque and velocity, below which friction would drive the joint
 # Log likelihoods [-] and what they are compared with.
 DECISIVE_LOG_ODDS = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
-DECISIVE_LOG_LIKELIHOOD = 30.0  # gain of the better reading; models are wrong by more than noise is
+DECISIVE_LOG_LIKELIHOOD = 30.0  # gain of the better model; errors of models are larger than noise
 # Samples and speeds.
 MIN_SPEED_SHARE = 0.02  # of the data sheet's velocity, rms, from which a joint moves [-]
 FULL_FRICTION_RAD_S = 0.02  # speed from which Coulomb friction is full
 AVERAGED_S = 0.05  # of the moving average: encoders are quantised
 MIN_AVERAGED_SAMPLES = 5
 CROSS_VALIDATION_BLOCKS = 20  # of a recording; even ones predict odd ones and vice versa
-MIN_MISFIT_SHARE = 1e-12  # of the power, left by a fit of exact numbers
+MIN_MISFIT_SHARE = 1e-12  # of the power, residual of a fit of exact numbers
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,10 @@ class LinearRelation:
         factor: a, ``(n,)``.
         standard_error: Of the factor, ``(n,)``.
         correlation: About zero, ``(n,)``.
-        misfit: Sum of squares that the fit leaves, ``(n,)``.
+        misfit: Sum of squared residuals, ``(n,)``.
         power: Sum of squares of the measured columns, ``(n,)``.
-        unexplained: Sum of squares that the further columns alone leave, ``(n,)``.
-        independent: Number of independent errors, of all columns or of each.
+        unexplained: Sum of squared residuals of a fit by the further columns alone, ``(n,)``.
+        independent: Number of independent errors, one for all columns or ``(n,)``.
     """
 
     factor: Array
@@ -84,8 +84,8 @@ class LinearRelation:
     def log_likelihood_ratio(self) -> Array:
         """Log likelihood ratio of the fit to the further columns alone, by column, ``(n,)``."""
         power = np.maximum(self.power, 1e-300)
-        left = (self.misfit / power + MIN_MISFIT_SHARE) / (self.unexplained / power + MIN_MISFIT_SHARE)
-        return np.asarray(-0.5 * self.independent * np.log(left))
+        ratio = (self.misfit / power + MIN_MISFIT_SHARE) / (self.unexplained / power + MIN_MISFIT_SHARE)
+        return np.asarray(-0.5 * self.independent * np.log(ratio))
 
 
 def fit(
@@ -101,13 +101,13 @@ def fit(
         expected: x, ``(k, n)``.
         measured: y, ``(k, n)``.
         further: Signals z whose factors are fitted as well, each ``(k, n)``.
-        independent: Number of independent errors, of all columns or of each, ``(n,)``; None: all samples.
+        independent: Number of independent errors, one for all columns or ``(n,)``; None: the number of samples.
         bounds: Smallest and largest size of the factor; None: any.
     """
     x, y = expected, measured
     if further:
         basis = np.linalg.qr(np.stack(further, axis=-1).swapaxes(0, 1))[0]
-        x, y = (one - np.einsum("jkf,jf->kj", basis, np.einsum("jkf,kj->jf", basis, one)) for one in (x, y))
+        x, y = (signal - np.einsum("jkf,jf->kj", basis, np.einsum("jkf,kj->jf", basis, signal)) for signal in (x, y))
     power, product = np.maximum(np.sum(x * x, axis=0), 1e-300), np.sum(x * y, axis=0)
     factor = product / power
     if bounds is not None:
@@ -127,10 +127,10 @@ def effective_samples(first: Array, second: Array) -> Array:
     """
     count = len(first)
     length = scipy.fft.next_fast_len(2 * count, real=True)
-    spectra = [np.abs(np.fft.rfft(one - one.mean(axis=0), length, axis=0)) ** 2 for one in (first, second)]
-    own, other = (np.fft.irfft(spectrum, length, axis=0)[:count] for spectrum in spectra)
-    rho = own * other / np.maximum(own[0] * other[0], 1e-300)
-    return np.asarray(count / np.clip(rho[0] + 2.0 * np.sum(rho[1:], axis=0), 1.0, 0.5 * count))
+    spectra = [np.abs(np.fft.rfft(signal - signal.mean(axis=0), length, axis=0)) ** 2 for signal in (first, second)]
+    rho_1, rho_2 = (np.fft.irfft(spectrum, length, axis=0)[:count] for spectrum in spectra)  # times the powers
+    product = rho_1 * rho_2 / np.maximum(rho_1[0] * rho_2[0], 1e-300)
+    return np.asarray(count / np.clip(product[0] + 2.0 * np.sum(product[1:], axis=0), 1.0, 0.5 * count))
 
 
 def pooled(expected: Array, measured: Array) -> LinearRelation:
@@ -166,9 +166,9 @@ def fit_with_lag(
 # ---- motions --------------------------------------------------------------------------------------------------------
 
 
-def evenly(count: int, most: int) -> NDArray[np.signedinteger]:
-    """Indices of at most ``most`` of ``count`` samples, evenly taken."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+def evenly(count: int, max_count: int) -> NDArray[np.signedinteger]:
+    """Indices of at most ``max_count`` of ``count`` samples, at even distances."""
+    return np.unique(np.linspace(0, count - 1, min(count, max_count)).astype(int))
 
 
 def averaged(time: Array, values: Array) -> tuple[Array, Array]:
@@ -190,7 +190,7 @@ class AveragedMotion:
         time: ``(k,)`` [s].
         position: q, ``(k, n)``.
         velocity: dq/dt by central differences, ``(k, n)``.
-        width: Samples of the moving average, which share one independent error.
+        width: Samples of the moving average, with one independent error.
     """
 
     time: Array
@@ -201,8 +201,9 @@ class AveragedMotion:
     @staticmethod
     def of(time: Array, position: Array) -> AveragedMotion:
         """Averaged motion from positions ``(k, n)`` at timestamps ``(k,)`` [s]."""
-        at, q = averaged(time, position)
-        return AveragedMotion(at, q, np.gradient(q, at, axis=0), max(1, time.size - at.size + 1))
+        averaged_time, q = averaged(time, position)
+        width = max(1, time.size - averaged_time.size + 1)
+        return AveragedMotion(averaged_time, q, np.gradient(q, averaged_time, axis=0), width)
 
     @property
     def acceleration(self) -> Array:
@@ -246,22 +247,22 @@ def held_out_misfit(basis: Array, measured: Array, odd: NDArray[np.bool_]) -> Ar
         measured: Signals, ``(k, c)``.
         odd: Mask of the second fold, ``(k,)``.
     """
-    left = np.zeros(measured.shape[1])
-    for unseen in (odd, ~odd):
-        factors = np.linalg.lstsq(basis[~unseen], measured[~unseen], rcond=None)[0]
-        left += np.sum(np.square(measured[unseen] - basis[unseen] @ factors), axis=0)
-    return left
+    misfit = np.zeros(measured.shape[1])
+    for held_out in (odd, ~odd):
+        factors = np.linalg.lstsq(basis[~held_out], measured[~held_out], rcond=None)[0]
+        misfit += np.sum(np.square(measured[held_out] - basis[held_out] @ factors), axis=0)
+    return misfit
 
 
 # ---- lags of any size -----------------------------------------------------------------------------------------------
 
 
 def cross_correlation(first: Array, second: Array) -> tuple[Array, Array, Array]:
-    """Normalised cross-correlation over the overlap, absolute and summed over columns: their factors differ in sign.
+    """Normalised cross-correlation over the overlap: absolute values (factors may differ in sign), summed over columns.
 
     Args:
-        first: Columns less their means, ``(k, c)``.
-        second: Columns less their means, on the same even grid, ``(m, c)``.
+        first: Centred columns, ``(k, c)``.
+        second: Centred columns on the same even grid, ``(m, c)``.
 
     Returns:
         Correlation by lag, ``(k + m - 1,)``; the lags, and the overlap of both at each lag [samples].

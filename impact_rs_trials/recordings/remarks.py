@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Remarks about reading runs, with their numbers, so that one remark about many runs is printed once.
+"""Remarks about reading runs, with their numbers, so that the same remark about many runs is printed once.
 
-A text alone hides that two remarks are of one kind: "is 1.07 times the derivative" and "is 1.08 times the derivative".
-A :class:`Remark` keeps its numbers apart from its words, and :func:`merged` prints the range of every number:
+Two texts may be remarks of one kind: "is 1.07 times the derivative" and "is 1.08 times the derivative". A
+:class:`Remark` stores numbers and words separately, and :func:`merged` prints the range of every number:
 
-    remark("{}: stamps moved by {:+.6g} s", place, offset)
+    remark("{}: stamps moved by {:+.6g} s", label, offset)
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ class Remark(str):
     def __new__(cls, *parts: str | Amount) -> Remark:
         """Join the parts."""
         flat: list[str | Amount] = []
-        for part in (inner for one in parts for inner in (one.parts if isinstance(one, Remark) else (one,))):
+        for part in (inner for item in parts for inner in (item.parts if isinstance(item, Remark) else (item,))):
             if part == "":
                 continue
             if isinstance(part, Amount) or not flat or isinstance(flat[-1], Amount):
                 flat.append(part)
             else:
                 flat[-1] = f"{flat[-1]}{part}"
-        made = super().__new__(cls, "".join(map(str, flat)))
-        made.parts = tuple(flat)
-        return made
+        text = super().__new__(cls, "".join(map(str, flat)))
+        text.parts = tuple(flat)
+        return text
 
     def __reduce__(self) -> tuple[type[Remark], tuple[str | Amount, ...]]:
         """Pickle by the parts."""
@@ -82,23 +82,24 @@ def remark(template: str, *values: Any) -> Remark:
 
 def joined(separator: str, remarks: Sequence[str]) -> Remark:
     """Remarks with a separator between them, as :meth:`str.join`."""
-    return Remark(*[part for one in remarks for part in (separator, one)][1:])
+    return Remark(*[part for text in remarks for part in (separator, text)][1:])
 
 
-def merged(remarks: Iterable[tuple[str, str]], of: int = 0) -> list[str]:
-    """Remarks, each kind once, with the runs that share it and the range of its numbers.
+def merged(remarks: Iterable[tuple[str, str]], run_count: int = 0) -> list[str]:
+    """Remarks, each kind once, with its runs and the range of its numbers.
 
     Args:
-        remarks: Run and remark; a remark on no run in particular has the run ``""``.
-        of: Number of all runs, so that runs are counted; 0: up to :data:`MAX_NAMED_RUNS` are named.
+        remarks: Run and remark; a remark about all runs has the run ``""``.
+        run_count: Number of all runs, to print how many share a remark; 0: up to :data:`MAX_NAMED_RUNS` are named.
     """
     groups: dict[tuple[object, ...], list[tuple[str, str]]] = {}
     for run, remark in remarks:
         text = remark if isinstance(remark, Remark) else remark.removeprefix(f"{run}: ")  # a run of one file
         groups.setdefault(_kind(text), []).append((run, text))
     return [
-        f"{_whose(list(dict.fromkeys(run for run, _ in own if run)), of)}{in_one([text for _, text in own])}"
-        for own in groups.values()
+        _prefix(list(dict.fromkeys(run for run, _ in members if run)), run_count)
+        + in_one([text for _, text in members])
+        for members in groups.values()
     ]
 
 
@@ -108,17 +109,17 @@ def in_one(remarks: Sequence[str]) -> str:
     return "".join(_together(column) for column in zip(*parts, strict=True))
 
 
-def _whose(runs: Sequence[str], of: int) -> str:
-    """The runs of a remark, as it begins."""
-    if not runs or of == 1:
+def _prefix(runs: Sequence[str], run_count: int) -> str:
+    """The runs of a remark, before its text."""
+    if not runs or run_count == 1:
         return ""
-    if of:
-        return f"{len(runs)} of {of} runs: "
+    if run_count:
+        return f"{len(runs)} of {run_count} runs: "
     return f"{len(runs)} runs: " if len(runs) > MAX_NAMED_RUNS else f"{', '.join(runs)}: "
 
 
 def _kind(remark: str) -> tuple[object, ...]:
-    """Words, and formats of the numbers between them."""
+    """Key of a kind of remark: its words, and the formats of the numbers between them."""
     parts = remark.parts if isinstance(remark, Remark) else (str(remark),)
     return tuple(part[1:] if isinstance(part, Amount) else part for part in parts)
 
@@ -129,6 +130,6 @@ def _together(column: Sequence[str | Amount]) -> str:
     if not numbers:
         return str(column[0])
     if numbers[0].remedy:
-        return str(numbers[0]._replace(value=statistics.median(one.value for one in numbers)))
-    ends = dict.fromkeys(str(end(numbers, key=lambda one: one.value)) for end in (min, max))
+        return str(numbers[0]._replace(value=statistics.median(number.value for number in numbers)))
+    ends = dict.fromkeys(str(end(numbers, key=lambda number: number.value)) for end in (min, max))
     return " to ".join(ends)

@@ -11,9 +11,9 @@ clip limits it to +- the largest torque of the joint (saturation). A command tha
 
     tau_d = clip(K_p (q_d(t - d) - q) + ...)
 
-What such a log cannot show: without known gains, K_p scales with the masses of the model (gravity gives K_p (q_d - q) =
-g(q)), and without a known K_d damping of the servo is viscous friction. Encoder offsets common to q_d and q cancel in
-their difference and show in gravity alone.
+Such a log does not determine everything: without known gains, K_p scales with the masses of the model (gravity gives
+K_p (q_d - q) = g(q)); without a known K_d, damping of the servo is viscous friction. Encoder offsets common to q_d and
+q cancel in the difference and show in gravity alone.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ServoLaw:
     Attributes:
         kp: K_p, ``(n,)`` [N m/rad].
         kd: K_d, ``(n,)`` [N m s/rad].
-        damps: Velocity, or velocity error.
+        damps: Whether K_d damps velocity or velocity error.
         torque_max: Saturation, ``(n,)`` [N m].
     """
 
@@ -71,7 +71,7 @@ class ServoLaw:
 
     @staticmethod
     def of(servo: Servo, torque_max: Array) -> ServoLaw:
-        """Law of a mapping's servos; ``torque_max`` ``(n,)``: limits of the robot [N m]."""
+        """Law of the servos of a mapping; ``torque_max`` ``(n,)``: limits of the robot [N m]."""
         kp = np.array(servo.kp)
         kd = np.zeros_like(kp) if servo.kd is None else np.array(servo.kd)
         return ServoLaw(kp, kd, servo.damps, np.array(torque_max if servo.torque_max is None else servo.torque_max))

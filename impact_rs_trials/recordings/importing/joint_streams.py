@@ -55,29 +55,29 @@ class JointStream:
         return self.file == other.file and bool(self._numbers & other._numbers)
 
     def stands_apart(self, other: JointStream) -> bool:
-        """Whether both cannot belong to the same joints: they share a column, or are parts at other offsets."""
+        """Whether both cannot belong to the same joints: they share a column, or are parts at different offsets."""
         if self.is_cut and other.is_cut and self.candidate.first != other.candidate.first:
             return True
         return self.overlaps(other)
 
     def log_prior(self, role: Role) -> float:
-        """Log odds of a role by the format of the file, the names of columns, or else of the file."""
+        """Log odds of a role by the file format, the names of the columns, or else the name of the file."""
         guess = self.candidate.guess or guess_of(self.file)
         text = f"{self.file} {self.column_text}"
         hinted = {"torque": "current" if CURRENT.search(text) else "torque"}.get(guess, guess)
-        other = bool(hinted) and (hinted, role) != ("torque", "current")
+        contradicts = bool(hinted) and (hinted, role) != ("torque", "current")
         size = FORMAT_LOG_ODDS if self.candidate.defined else NAME_LOG_ODDS
-        odds = size if hinted == role else -size if other else 0.0
+        odds = size if hinted == role else -size if contradicts else 0.0
         return odds - NAME_LOG_ODDS * bool(COMMANDED.search(text)) + NAME_LOG_ODDS * bool(MEASURED.search(text))
 
     @property
     def is_of_motors(self) -> bool:
-        """Whether its name calls it a measurement at the motors."""
+        """Whether its name suggests a measurement at the motors."""
         return bool(OF_MOTOR.search(self.column_text)) and not COMMANDED.search(self.column_text)
 
     @property
     def is_external(self) -> bool:
-        """Whether its name calls it an external torque."""
+        """Whether its name suggests an external torque."""
         return bool(EXTERNAL.search(self.column_text))
 
     def in_order(self, order: tuple[int, ...]) -> JointStream:

@@ -127,7 +127,7 @@ def test_a_joint_whose_torque_was_not_measured_is_left_out(planted: Columns, tmp
     measured = {feature.index for item in source.clusters for feature in item.features if feature.signal == TORQUE}
     assert measured == {f"joint{number}" for number in (1, 2, 4, 5, 6, 7)}
     nothing = planted | {"effort": np.zeros_like(planted["effort"])}
-    with pytest.raises(InputError, match="no joint's torque ever changes"):
+    with pytest.raises(InputError, match="the torque of no joint ever changes"):
         source_of(write_npz(tmp_path / "b.npz", nothing))
 
 
