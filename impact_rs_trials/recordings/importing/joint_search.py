@@ -218,12 +218,12 @@ class JointSearch:
 
     def motions(self) -> list[Assignment]:
         """Positions with velocity streams, the likeliest first."""
-        found: list[Assignment] = []
+        assignments: list[Assignment] = []
         for position in self.position_readings:
             motion = JointMotion.of(position.stream.series.time, position.values, None, self.model)
             if velocity := self._velocities(position, motion):
-                found.append(Assignment(position, velocity[0], (), {}))
-        return sorted(found, key=lambda assignment: assignment.motion_log_posterior, reverse=True)
+                assignments.append(Assignment(position, velocity[0], (), {}))
+        return sorted(assignments, key=lambda assignment: assignment.motion_log_posterior, reverse=True)
 
     def without_velocity(self) -> list[Assignment]:
         """Positions alone, from streams without the name of another signal."""

@@ -338,9 +338,9 @@ class JointSections:
         ]
         if best.computed:
             self._notes.remarks.append(f"{best.stream.label} {computed}, so {NOTHING_SHOWS}. {MEASURED_TORQUE}")
-        alike = "; ".join(reading.stream.label for reading in rivals if reading.computed == best.computed)
+        equals = "; ".join(reading.stream.label for reading in rivals if reading.computed == best.computed)
         constant = best.best.further.get("torque_constant")
-        signals["torque"] = self._joint_signal(best, "torque", part, listed, alike)
+        signals["torque"] = self._joint_signal(best, "torque", part, listed, equals)
         motion = self._with_motion(best, assignment, model)
         at_motor = constant is not None or not facts.joint_torque_loop
         text = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "

@@ -78,7 +78,7 @@ def test_across_hits_in_one_direction_the_position_stays_as_given() -> None:
     assert found.yaw == pytest.approx(2.4, abs=1e-6)
     assert np.abs(found.undetermined) == pytest.approx([1.0, 0.0], abs=1e-6)
     assert found.error[0] < 1e-6
-    assert "the position stays as given, for all hits are across that direction" in str(found)
+    assert "the position stays as given: all hits are across that direction" in str(found)
     assert "in 4 hits: position [1.2500, -0.7000, 0.2500] m, yaw 2.4000 rad" in str(found)
 
 
