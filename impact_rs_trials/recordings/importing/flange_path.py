@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Path of the flange of a robot, which tells the pose of its tool from the pose of an object."""
+"""Path of the flange of a robot, to distinguish the pose of its tool from the pose of an object."""
 
 from __future__ import annotations
 

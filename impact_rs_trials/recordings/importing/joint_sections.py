@@ -220,9 +220,9 @@ class JointSections:
             listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(servo.informative))
             text = f"kp by gravity and inertia of the model in joints {listed}; prefer the gains of your controller"
             self._notes.remarks.append(
-                "no gains were recorded: kp was found with the masses of the model, so this log cannot tell masses "
-                "from gains, and kd is a part of the viscous friction. Write kp and kd of your controller into servo, "
-                "with gains: given, if you know them"
+                "no gains were recorded: kp was found with the masses of the model, so this log cannot "
+                "distinguish masses from gains, and kd is a part of the viscous friction. Write kp and kd of your "
+                "controller into servo, with gains: given, if you know them"
             )
         self._notes.add("servo", flow(servo_keys), text, sure=servo.has_recorded_gains)
         gravity = "with gravity" if servo.meaning == "whole" else "without gravity"

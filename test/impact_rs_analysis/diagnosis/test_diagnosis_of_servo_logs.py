@@ -116,7 +116,7 @@ def test_without_known_gains_friction_is_found_and_masses_are_not(tmp_path: Path
         assert 0.7 < high - low < 1.6  # 1.96 times 30 % to either side
     gain = found.effect("torque_gain")
     assert gain is not None and gain.verdict == UNIDENTIFIABLE
-    assert any("cannot tell masses from gains" in remark for remark in found.remarks)
+    assert any("cannot distinguish masses from gains" in remark for remark in found.remarks)
 
 
 @pytest.mark.slow

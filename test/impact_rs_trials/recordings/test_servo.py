@@ -171,7 +171,7 @@ def test_without_gains_import_estimates_them_from_gravity_and_says_what_the_log_
     assert mapping.servo is not None and mapping.servo.gains == "estimated" and mapping.servo.kd is None
     np.testing.assert_allclose(np.array(mapping.servo.kp)[1:3], KP[1:3], rtol=0.1)  # they carry the arm
     assert not next(line.sure for line in draft.lines if line.key == "servo")
-    assert any("cannot tell masses from gains" in remark for remark in draft.remarks)
+    assert any("cannot distinguish masses from gains" in remark for remark in draft.remarks)
 
 
 def test_the_order_of_joints_without_names_is_found_by_the_torque_of_servos(tmp_path: Path) -> None:
