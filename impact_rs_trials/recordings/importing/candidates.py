@@ -186,7 +186,7 @@ def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
             part_source = {"columns": source["columns"][first : first + count]}
         elif "{joint}" in source.get("column", ""):
             columns = [source["column"].replace("{joint}", str(number)) for number in part_source["entries"]]
-            part_source = {"columns": columns} if first else source  # {joint} stands for as many as there are joints
+            part_source = {"columns": columns} if first else source  # {joint} counts the joints from 1
         label = f"{candidate.label}, the {position} {count}"
         parts.append(replace(candidate, label=label, source=part_source, width=count, first=first))
     return parts

@@ -53,7 +53,7 @@ class DescribedRuns:
         objects = groups.objects if any(OBJECT in file for file in needed) else {}
         rows, incomplete = [], []
         for run, session in self._named_runs(mapping):
-            absent = {kind for kind, files in groups.kinds.items() if groups.spread and run not in files}
+            absent = {kind for kind, files in groups.kinds.items() if groups.several_files and run not in files}
             if missing := needed & absent:
                 incomplete.append(f"{run} ({', '.join(sorted(missing))})")
                 continue
@@ -91,7 +91,7 @@ class DescribedRuns:
         """All runs, also those inside of files, and their sessions."""
         for run in self._groups.runs:
             session = self._groups.sessions.get(run, "")
-            if not mapping.holds_runs or self._groups.spread:
+            if not mapping.holds_runs or self._groups.several_files:
                 yield run, session
                 continue
             try:
@@ -107,7 +107,7 @@ class DescribedRuns:
 
     def _note_unread(self, needed: set[str]) -> None:
         """Note the files that hold no signal of the mapping."""
-        unread = [kind for kind in self._groups.kinds if self._groups.spread and kind not in needed]
+        unread = [kind for kind in self._groups.kinds if self._groups.several_files and kind not in needed]
         names = [*unread, *(str(path.relative_to(self._groups.folder)) for path in self._groups.left_out)]
         if names:
             self._notes.remarks.append(f"not read, because the mapping takes no signal from them: {', '.join(names)}")

@@ -42,7 +42,7 @@ class FileGroups:
         folder: Folder to which the names of runs are relative.
         kinds: Files by run, by name of the kind with ``{run}`` for the run and ``{object}`` for its object.
         runs: Names of the runs relative to the folder, in natural order.
-        spread: Whether a run has several files, so that every signal needs its ``file``.
+        several_files: Whether a run has several files, so that every signal needs its ``file``.
         objects: Objects by run, if the names of files contain them.
         left_out: Files whose names contain no run, while names of other files do.
     """
@@ -50,7 +50,7 @@ class FileGroups:
     folder: Path
     kinds: dict[str, dict[str, Path]]
     runs: tuple[str, ...]
-    spread: bool
+    several_files: bool
     objects: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[Path, ...] = ()
 
@@ -112,7 +112,7 @@ def whole_runs(groups: FileGroups, columns: Callable[[Path], frozenset[str]], bo
     """
     kinds = [Path(kind).stem for kind in groups.kinds]
     targets = sum(COMMANDED.search(kind) is not None for kind in kinds)
-    if not groups.spread or len(kinds) < 2 or _are_signals(kinds) or 0 < targets < len(kinds):
+    if not groups.several_files or len(kinds) < 2 or _are_signals(kinds) or 0 < targets < len(kinds):
         return None
     column_sets = {columns(next(iter(by_run.values()))) for by_run in groups.kinds.values()}
     if len(column_sets) > 1 or not (columns_of_all := column_sets.pop()):

@@ -74,7 +74,9 @@ LOW_PASS_LOG_DENSITY = -float(np.log(np.log(SAME_UNIT_FACTORS[1] / SAME_UNIT_FAC
 FREE_FACTOR_LOG_DENSITY = -float(np.log(2.0 * np.log(MAX_FACTOR_RATIO)))  # of log |b| of either sign, of any size
 PROBABILITY_OF_BROKEN_ORDER = 1e-3  # that the column of one joint holds another one
 SIGN_PRIOR = (0.9, 0.09, 0.01)  # all signals have the sign of the joints, all the opposite one, or they differ
-OUTLIERS = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of any size; what they spoil fits nothing
+OUTLIERS = np.errstate(
+    over="ignore", invalid="ignore", divide="ignore"
+)  # in the numbers, of any size: a stream that overflows fits no role
 
 
 @dataclass(frozen=True)

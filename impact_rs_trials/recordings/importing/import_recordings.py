@@ -140,21 +140,23 @@ class _Importer:
         if whole is not None:
             self._notes.remarks.append(WHOLE_RUNS.format(names=", ".join(whole.runs)))
         self._groups = whole or groups
-        self._parts = self._opened()
+        self._files = self._opened()
 
     def _opened(self) -> list[RecordedFile]:
         """A file of every kind; texts without numbers, such as event logs, are left out if other files have some."""
-        parts: list[RecordedFile] = []
+        opened: list[RecordedFile] = []
         empty: list[NoTable] = []
         for pattern, files in self._groups.kinds.items():
             try:
-                parts.append(open_recorded(pattern, next(iter(files.values())), self._groups.spread, self._notes))
+                opened.append(
+                    open_recorded(pattern, next(iter(files.values())), self._groups.several_files, self._notes)
+                )
             except NoTable as error:
                 empty.append(error)
-        if not parts:
+        if not opened:
             raise empty[0]
         self._notes.remarks += [f"left out: {error}" for error in empty]
-        return parts
+        return opened
 
     def draft(self) -> ImportDraft:
         """The description of all files."""
@@ -162,19 +164,19 @@ class _Importer:
         facts = None if robot == NO_ROBOT else load_facts(robot)
         signals: dict[str, dict[str, Any]] = {}
         joint_keys: dict[str, Any] = {}
-        part = self._parts[0]
-        files = ImportedFiles(self._parts, self._groups, self._options.rate, self._notes)
+        recorded = self._files[0]
+        files = ImportedFiles(self._files, self._groups, self._options.rate, self._notes)
         joints = JointSections(files)
         if facts is not None:
-            part, joint_keys, signals = joints.describe(robot, facts)
+            recorded, joint_keys, signals = joints.describe(robot, facts)
         tracked = ObjectSections(files, joints.flange)
-        pose_part = tracked.describe(part, facts is not None, signals)
-        if facts is None and pose_part is None:
+        pose_file = tracked.describe(recorded, facts is not None, signals)
+        if facts is None and pose_file is None:
             planes = "".join(ON_A_TABLE.format(columns=pair) for pair in tracked.not_falling)
-            raise InputError(NOTHING_TRACKED + planes, file=self._parts[0].path)
-        if facts is None and pose_part is not None:
-            refuse_several(pose_part, self._groups, "objects without a robot", "object")
-        main = part if facts is not None else pose_part or part
+            raise InputError(NOTHING_TRACKED + planes, file=self._files[0].path)
+        if facts is None and pose_file is not None:
+            refuse_several(pose_file, self._groups, "objects without a robot", "object")
+        main = recorded if facts is not None else pose_file or recorded
         clock = self._time(main)
         content: dict[str, Any] = {
             "description": f"{self._groups.folder.name or 'recordings'}, as impact-rs import found it",
@@ -215,11 +217,11 @@ class _Importer:
             self._notes.add("robot", self._options.robot, "given with --robot")
             return self._options.robot
         robots = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))
-        texts = [text for part in self._parts for text in (part.path.parent.name, part.path.stem)]
+        texts = [text for recorded in self._files for text in (recorded.path.parent.name, recorded.path.stem)]
         texts += [
             text
-            for part in self._parts
-            for candidate in part.candidates
+            for recorded in self._files
+            for candidate in recorded.candidates
             for text in (candidate.label, *candidate.joints)
         ]
         words = set().union(*map(_runs_of_words, texts))
@@ -231,12 +233,12 @@ class _Importer:
             return matches[0]
         widths = {
             candidate.width
-            for part in self._parts
-            for candidate in part.candidates
+            for recorded in self._files
+            for candidate in recorded.candidates
             if not candidate.pose and candidate.guess
         }
         counts = {name: load_facts(name).joint_count for name in robots}
-        if not widths & set(counts.values()) and any(poses_in(part, False) for part in self._parts):
+        if not widths & set(counts.values()) and any(poses_in(recorded, False) for recorded in self._files):
             self._notes.add(
                 "robot", NO_ROBOT, "no signal is as wide as a robot has joints: an object alone", sure=False
             )
@@ -245,25 +247,27 @@ class _Importer:
         raise InputError(
             f"--robot is needed: the files do not name the robot; known are {', '.join(fitting)}; impact-rs robot "
             "import makes another robot from its URDF; none stands for an object without a robot",
-            file=self._parts[0].path,
+            file=self._files[0].path,
         )
 
-    def _time(self, part: RecordedFile) -> dict[str, Any]:
-        keys = part.clock_keys(self._options.rate)
+    def _time(self, recorded: RecordedFile) -> dict[str, Any]:
+        keys = recorded.clock_keys(self._options.rate)
         if self._options.rate is not None:
             self._notes.add("time.rate", f"{self._options.rate:g}", "given with --rate")
             if "column" in keys:
                 self._notes.add("time.column", keys["column"], "frame numbers, with gaps where frames are missing")
-        elif part.on_log:
+        elif recorded.on_log:
             self._notes.add("time", flow(keys), f"of the positions: {NO_HEADER}")
-        elif part.clock is not None:
-            self._notes.add("time", flow(keys), part.clock.evidence, part.clock.sure)
-            self._notes.remarks += part.clock.remarks
-            if (data := data_set_of(part.path)) is not None and data.fps is not None:
+        elif recorded.clock is not None:
+            self._notes.add("time", flow(keys), recorded.clock.evidence, recorded.clock.sure)
+            self._notes.remarks += recorded.clock.remarks
+            if (data := data_set_of(recorded.path)) is not None and data.fps is not None:
                 self._notes.remarks.append(NOMINAL.format(info=INFO, fps=data.fps))
-            if not any(STAMP.search(name) for name in part.clock_columns) and (step_back := steps_back(part.columns)):
-                self._notes.remarks.append(f"{step_back}; {flow(part.clock.value)} is taken for the clock instead")
-            if part.clock.remarks and not self._options.dedupe:
+            if not any(STAMP.search(name) for name in recorded.clock_columns) and (
+                step_back := steps_back(recorded.columns)
+            ):
+                self._notes.remarks.append(f"{step_back}; {flow(recorded.clock.value)} is taken for the clock instead")
+            if recorded.clock.remarks and not self._options.dedupe:
                 self._notes.remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
         if self._options.dedupe:
             keys["repeated"] = "keep_first"

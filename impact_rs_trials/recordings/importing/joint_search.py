@@ -372,7 +372,7 @@ class JointSearch:
 
 
 def with_commands(motions: Sequence[Assignment]) -> list[Assignment]:
-    """Motions with the likelihood of the streams that each leaves over, so that all are judged by the same streams."""
+    """Motions with the likelihood of their remaining streams, so that all are compared on the same streams."""
     return [_with_command(motion, motions) for motion in motions]
 
 

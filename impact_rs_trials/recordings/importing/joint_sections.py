@@ -72,7 +72,7 @@ MIN_GRAVITY_RMS_RATIO = 2.0  # of these differences with and without gravity tor
 DECLARED = (
     "{label} is taken for the desired positions because its format says so: their distance to the positions does not "
     "show the torque of this motion (log odds {odds:.2g}), as where commands act late, a controller adds torques, or "
-    "friction is as large. The gains are a guess; write those of your servos into servo.kp"
+    "friction is as large. The gains are a guess; write the gains of your servos into servo.kp"
 )
 NO_HEADER = "its messages have no header: times at which the bag received them"
 
@@ -89,7 +89,7 @@ class JointSections:
     """
 
     def __init__(self, files: ImportedFiles) -> None:
-        self._parts, self._groups, self._rate, self._notes = files.parts, files.groups, files.rate, files.notes
+        self._files, self._groups, self._rate, self._notes = files.files, files.groups, files.rate, files.notes
         self._refused: dict[str, str] = {}
         self._order_shown = "columns hold the joints from base to tip"
         self.readings: dict[str, tuple[PossibleReading, ...]] = {}
@@ -98,12 +98,12 @@ class JointSections:
     def describe(self, robot: str, facts: RobotFacts) -> tuple[RecordedFile, dict[str, Any], dict[str, dict[str, Any]]]:
         """File of the positions, keys of the mapping except its signals, and the signals."""
         model = RobotModel(facts, MountedEndEffector().build())
-        for part in self._parts:
-            part.candidates = of_side(part.candidates, facts)
-            self._refused |= read_streams(part, robot, facts.joint_count, self._rate)
+        for recorded in self._files:
+            recorded.candidates = of_side(recorded.candidates, facts)
+            self._refused |= read_streams(recorded, robot, facts.joint_count, self._rate)
             if self._rate is None:
-                settle_clock(part, model)
-        search = JointSearch([stream for part in self._parts for stream in part.streams], model)
+                settle_clock(recorded, model)
+        search = JointSearch([stream for recorded in self._files for stream in recorded.streams], model)
         assignment = self._assignment(search, robot)
         if (order := self._order(assignment, search)) is not None:
             search = JointSearch([stream.in_order(order) for stream in search.streams], model)
@@ -121,16 +121,18 @@ class JointSections:
                 for torque in assignment.torques
             ]
             assignment = self._moved_by(servo, search)
-        part = self._part_of(assignment.position.stream)
-        _check_width(assignment, part, robot, facts.joint_count)
+        recorded = self._file_of(assignment.position.stream)
+        _check_width(assignment, recorded, robot, facts.joint_count)
         if servo is None:
             self._check_torques(assignment, search, robot)
         self._notes.remarks += [
             f"{label} is left out, because the reader refuses it: {reason}" for label, reason in self._refused.items()
         ]
-        refuse_several(part, self._groups, "joints", "robot")
+        refuse_several(recorded, self._groups, "joints", "robot")
         signals = {
-            "position": self._joint_signal(assignment.position, "position", part, assignment.alternatives["position"])
+            "position": self._joint_signal(
+                assignment.position, "position", recorded, assignment.alternatives["position"]
+            )
         }
         if assignment.velocity is None:
             self._notes.add(
@@ -138,19 +140,19 @@ class JointSections:
             )
         else:
             signals["velocity"] = self._joint_signal(
-                assignment.velocity, "velocity", part, assignment.alternatives["velocity"]
+                assignment.velocity, "velocity", recorded, assignment.alternatives["velocity"]
             )
-        part.on_log = not assignment.position.stream.candidate.stamped
+        recorded.on_log = not assignment.position.stream.candidate.stamped
         keys = {"joints": list(self._joints(assignment.position.stream.candidate, facts.joint_count))}
         if servo is None:
-            keys |= self._torque(assignment, model, robot, signals, part)
+            keys |= self._torque(assignment, model, robot, signals, recorded)
         else:
-            keys |= self._servo(servo, search, signals, part)
+            keys |= self._servo(servo, search, signals, recorded)
         if (motors := search.motors(assignment)) is not None:
-            signals["motor_position"] = self._joint_signal(motors, "motor_position", part)
+            signals["motor_position"] = self._joint_signal(motors, "motor_position", recorded)
         if servo is None:
-            keys |= self._commands(assignment, search, model, signals, part, "torque_constant" in keys)
-        return part, keys, signals
+            keys |= self._commands(assignment, search, model, signals, recorded, "torque_constant" in keys)
+        return recorded, keys, signals
 
     def _assignment(self, search: JointSearch, robot: str) -> Assignment:
         """The likeliest assignment of streams to the roles of the joints."""
@@ -197,11 +199,11 @@ class JointSections:
         return replace(motion, alternatives=listed)
 
     def _servo(
-        self, servo: ServoHypothesis, search: JointSearch, signals: dict[str, dict[str, Any]], part: RecordedFile
+        self, servo: ServoHypothesis, search: JointSearch, signals: dict[str, dict[str, Any]], recorded: RecordedFile
     ) -> dict[str, Any]:
         """Add the desired positions of servos to the signals; further keys of the mapping."""
         target = Reading.of(servo.stream, "position", servo.unit, servo.evidence, servo.margin)
-        signals["q_desired"] = self._joint_signal(target, "q_desired", part)
+        signals["q_desired"] = self._joint_signal(target, "q_desired", recorded)
         self._notes.add("torque_measured_at", "motor", "no torque was recorded: servos give the torque of their motors")
         if servo.margin < 0.0:
             self._notes.remarks.append(DECLARED.format(label=servo.stream.label, odds=servo.margin))
@@ -241,7 +243,7 @@ class JointSections:
                 f"needs torques or currents, or desired positions of servos that make it; signals as wide as its "
                 f"joints: {tried}{no_torques}. Another --robot, or a "
                 "mapping by hand (docs/files.md)",
-                file=self._part_of(assignment.position.stream).path,
+                file=self._file_of(assignment.position.stream).path,
             )
 
     def _order(self, assignment: Assignment, search: JointSearch) -> tuple[int, ...] | None:
@@ -270,7 +272,7 @@ class JointSections:
         rests = [at_rest(reading.stream.series.time, reading.values, facts) for reading in position_readings]
         if rests and None not in rests:
             stream = position_readings[0].stream
-            raise InputError(f"{stream.label}: {rests[0]}", file=self._part_of(stream).path)
+            raise InputError(f"{stream.label}: {rests[0]}", file=self._file_of(stream).path)
 
     def _nothing(self, streams: Sequence[JointStream], robot: str, count: int) -> InputError:
         """Error: no signal is the motion of the joints."""
@@ -282,8 +284,8 @@ class JointSections:
             )
         other_widths = [
             candidate
-            for part in self._parts
-            for candidate in part.candidates
+            for recorded in self._files
+            for candidate in recorded.candidates
             if not candidate.pose and candidate.width not in (1, count)
         ]
         if other_widths:
@@ -293,10 +295,10 @@ class JointSections:
                 candidate.width > count for candidate in other_widths
             )
         text += "".join(f"; the reader refuses {why}" for why in self._refusals())
-        backwards = [back for part in self._parts if (back := steps_back(part.columns)) is not None]
+        backwards = [back for recorded in self._files if (back := steps_back(recorded.columns)) is not None]
         text += "".join(f"; {back}, so another clock was taken" for back in backwards)
         remedy = "Another --robot, or a mapping by hand" if streams else "A mapping by hand"
-        return InputError(f"{text}. {remedy} (docs/files.md)", file=self._parts[0].path)
+        return InputError(f"{text}. {remedy} (docs/files.md)", file=self._files[0].path)
 
     def _refusals(self) -> list[str]:
         """Signals that the reader refuses, with its reason."""
@@ -322,12 +324,14 @@ class JointSections:
         model: RobotModel,
         robot: str,
         signals: dict[str, dict[str, Any]],
-        part: RecordedFile,
+        recorded: RecordedFile,
     ) -> dict[str, Any]:
         """Add the torque of the joints to the signals; further keys of the mapping."""
         best, *further = assignment.torques
         facts, listed = model.facts, assignment.alternatives["torque"]
-        rivals = [reading for reading in further if not (part.is_bag and reading.stream.candidate.guess == "command")]
+        rivals = [
+            reading for reading in further if not (recorded.is_bag and reading.stream.candidate.guess == "command")
+        ]
         computed = (
             "follows the model of the arm without any friction of its gears: a controller or a simulation computed it"
         )
@@ -340,7 +344,7 @@ class JointSections:
             self._notes.remarks.append(f"{best.stream.label} {computed}, so {NOTHING_SHOWS}. {MEASURED_TORQUE}")
         equals = "; ".join(reading.stream.label for reading in rivals if reading.computed == best.computed)
         constant = best.best.further.get("torque_constant")
-        signals["torque"] = self._joint_signal(best, "torque", part, listed, equals)
+        signals["torque"] = self._joint_signal(best, "torque", recorded, listed, equals)
         motion = self._with_motion(best, assignment, model)
         at_motor = constant is not None or not facts.joint_torque_loop
         text = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
@@ -377,11 +381,11 @@ class JointSections:
 
     def _commands(
         self, assignment: Assignment, search: JointSearch, model: RobotModel, signals: dict[str, dict[str, Any]],
-        part: RecordedFile, currents: bool,
+        recorded: RecordedFile, currents: bool,
     ) -> dict[str, Any]:  # fmt: skip
         """Add the commanded torque of a bag to the signals; further keys of the mapping."""
         free = search.free_of([*assignment.streams, assignment.torques[0].stream])
-        commanded = [stream for stream in free if stream.candidate.guess == "command" and self._part_of(stream).is_bag]
+        commanded = [stream for stream in free if stream.candidate.guess == "command" and self._file_of(stream).is_bag]
         copied = [stream for stream in commanded if stream.label in assignment.no_torques]
         self._notes.remarks += [
             f"{stream.label} is left out: it {assignment.no_torques[stream.label]}" for stream in copied
@@ -391,11 +395,11 @@ class JointSections:
             reason = "only currents were measured, no torque"
             self._notes.remarks += [f"{stream.label} is left out: {reason}" for stream in commands]
             return {}
-        return self._command(assignment, commands, model, signals, part) if commands else {}
+        return self._command(assignment, commands, model, signals, recorded) if commands else {}
 
     def _command(
         self, assignment: Assignment, commanded: Sequence[JointStream], model: RobotModel,
-        signals: dict[str, dict[str, Any]], part: RecordedFile,
+        signals: dict[str, dict[str, Any]], recorded: RecordedFile,
     ) -> dict[str, Any]:  # fmt: skip
         """Add the commanded torque closest (rms) to the measured torque, with or without gravity, to the signals."""
         time, q = assignment.time, assignment.position.values
@@ -422,7 +426,7 @@ class JointSections:
             f"{100.0 * as_recorded:.0f} % of the measured torque away from it as it is, {100.0 * with_gravity:.0f} % "
             "with the gravity torque added (rms)"
         )
-        signals["command"] = self._joint_signal(Reading.of(nearest, "torque", "N m", text, np.inf), "command", part)
+        signals["command"] = self._joint_signal(Reading.of(nearest, "torque", "N m", text, np.inf), "command", recorded)
         sure = larger > MIN_GRAVITY_RMS_RATIO * smaller
         text = f"it is nearer to the measured torque {'as it is' if included else 'with the gravity torque added'}"
         self._notes.add("command_includes_gravity", str(included).lower(), text, sure)
@@ -445,7 +449,7 @@ class JointSections:
             possible: Possible readings of the signal, the chosen reading first.
             equals: Streams that fit the role equally well, also by name.
         """
-        part, candidate, best = self._part_of(reading.stream), reading.stream.candidate, reading.best
+        recorded, candidate, best = self._file_of(reading.stream), reading.stream.candidate, reading.best
         evidence = "by its numbers; see unit"
         if reading.stream.is_cut:
             evidence += "; the other numbers, as of a gripper, are left out"
@@ -464,8 +468,8 @@ class JointSections:
         self._notes.remarks += best.remarks
         self.readings[name] = tuple(possible)
         further = {key: value for key, value in best.further.items() if key == "factor"}
-        source = {**source_in(part, candidate.source, self._groups), "unit": best.unit, **further}
-        return source | part.own_layout(main)
+        source = {**source_in(recorded, candidate.source, self._groups), "unit": best.unit, **further}
+        return source | recorded.own_layout(main)
 
     def _joints(self, candidate: SignalCandidate, count: int) -> tuple[str, ...]:
         joints = joints_of(candidate.joints, "", False, count)
@@ -475,22 +479,22 @@ class JointSections:
             self._notes.add("joints", flow(list(joints)), self._order_shown, sure=False)
         return joints
 
-    def _part_of(self, stream: JointStream) -> RecordedFile:
+    def _file_of(self, stream: JointStream) -> RecordedFile:
         """The file of a stream."""
-        return next(part for part in self._parts if part.pattern == stream.file)
+        return next(recorded for recorded in self._files if recorded.pattern == stream.file)
 
 
-def _check_width(assignment: Assignment, part: RecordedFile, robot: str, count: int) -> None:
+def _check_width(assignment: Assignment, recorded: RecordedFile, robot: str, count: int) -> None:
     """Refuse a few joints of a wider arm: unnamed columns with neighbours that are positions and derivatives."""
     series = assignment.position.stream.series
-    names = [name for name, cells in part.columns.items() if np.ndim(cells) == 1 and vector_width(cells) == 1]
-    names = [name for name in names if name not in part.clock_columns]
-    if assignment.velocity is None or not names or series.time.size != len(part.columns[names[0]]):
+    names = [name for name, cells in recorded.columns.items() if np.ndim(cells) == 1 and vector_width(cells) == 1]
+    names = [name for name in names if name not in recorded.clock_columns]
+    if assignment.velocity is None or not names or series.time.size != len(recorded.columns[names[0]]):
         return
     first_position, first_velocity = (
         _first_of(names, reading.stream.candidate) for reading in (assignment.position, assignment.velocity)
     )
-    if first_position is None or first_velocity is None or assignment.velocity.stream.file != part.pattern:
+    if first_position is None or first_velocity is None or assignment.velocity.stream.file != recorded.pattern:
         return
     offset = first_velocity - first_position  # from a position to its velocity, in columns
     joints = range(first_position, first_position + count)
@@ -500,7 +504,7 @@ def _check_width(assignment: Assignment, part: RecordedFile, robot: str, count: 
     if not neighbours:
         return
     positions, rates = (
-        np.column_stack([np.asarray(part.columns[names[n + shift]], dtype=float) for n in neighbours])
+        np.column_stack([np.asarray(recorded.columns[names[n + shift]], dtype=float) for n in neighbours])
         for shift in (0, offset)
     )
     derivatives = are_derivatives(series.time, positions, rates)
@@ -510,7 +514,7 @@ def _check_width(assignment: Assignment, part: RecordedFile, robot: str, count: 
         raise InputError(
             f"columns {blocks} hold positions and velocities of {len(block)} joints, and {robot} has {count}: another "
             "--robot, or a mapping by hand with the columns of this robot (docs/files.md)",
-            file=part.path,
+            file=recorded.path,
         )
 
 

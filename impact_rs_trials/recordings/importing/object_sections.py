@@ -50,37 +50,37 @@ class ObjectSections:
 
     def __init__(self, files: ImportedFiles, flange: FlangePath | None = None) -> None:
         self._flange = flange
-        self._parts, self.groups, self._rate, self._notes = files.parts, files.groups, files.rate, files.notes
+        self._files, self.groups, self._rate, self._notes = files.files, files.groups, files.rate, files.notes
         self.not_falling: list[str] = []
 
     def describe(
         self, joints: RecordedFile, with_robot: bool, signals: dict[str, dict[str, Any]]
     ) -> RecordedFile | None:
         """Pose of an object, if there is one; it is added to the signals."""
-        for part in sorted(self._parts, key=lambda file: file is joints and with_robot):
-            for position, quaternion, by_name in poses_in(part, with_robot):
-                sections = self._pose_sections(part, position, quaternion, by_name)
-                if sections is None or self._is_of_the_tool(part, sections):
+        for recorded in sorted(self._files, key=lambda recorded_file: recorded_file is joints and with_robot):
+            for position, quaternion, by_name in poses_in(recorded, with_robot):
+                sections = self._pose_sections(recorded, position, quaternion, by_name)
+                if sections is None or self._is_of_the_tool(recorded, sections):
                     continue
-                if with_robot and self.groups.spread:
-                    self._choose_objects(part, sections)
-                self._note_other_poses(part, position)
+                if with_robot and self.groups.several_files:
+                    self._choose_objects(recorded, sections)
+                self._note_other_poses(recorded, position)
                 if with_robot:
                     for section in sections.values():
-                        section |= part.own_layout(joints)
+                        section |= recorded.own_layout(joints)
                 signals |= sections
-                return part
+                return recorded
         return None if with_robot else self._ball(signals)
 
-    def _is_of_the_tool(self, part: RecordedFile, sections: dict[str, dict[str, Any]]) -> bool:
+    def _is_of_the_tool(self, recorded: RecordedFile, sections: dict[str, dict[str, Any]]) -> bool:
         """Whether a pose is fixed on the flange of the robot, so that it is no object; if so it is noted."""
         if self._flange is None:
             return False
         name: SignalName = "object_pose" if "object_pose" in sections else "object_position"
         keys = {key: value for key, value in sections[name].items() if key != "file"}  # the file of a run, opened here
         source = SignalSource.model_validate(keys)
-        raw = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": {name: source}})
-        series = open_file(part.path, raw, part.names, (name,)).series(name, source)
+        raw = recorded.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": {name: source}})
+        series = open_file(recorded.path, raw, recorded.names, (name,)).series(name, source)
         label = source.column or source.array or source.topic or ", ".join(source.columns or ())
         max_rms_ratio = MAX_RMS_RATIO_OF_TARGET if COMMANDED.search(label) else MAX_RMS_RATIO
         fixed_point = self._flange.carries(series.at(self._flange.time)[:, :3], max_rms_ratio)
@@ -93,20 +93,20 @@ class ObjectSections:
         )
         return True
 
-    def _note_other_poses(self, part: RecordedFile, used: dict[str, Any]) -> None:
+    def _note_other_poses(self, recorded: RecordedFile, used: dict[str, Any]) -> None:
         """Note further arrays and topics that may be poses and are not used."""
-        unused = [candidate.label for candidate in part.candidates if candidate.pose and candidate.source != used]
+        unused = [candidate.label for candidate in recorded.candidates if candidate.pose and candidate.source != used]
         if unused:
             self._notes.remarks.append(
-                f"{part.path.name} holds other poses, which are not used: {', '.join(unused[:MAX_SHOWN_POSES])}"
+                f"{recorded.path.name} holds other poses, which are not used: {', '.join(unused[:MAX_SHOWN_POSES])}"
                 + (f" and {len(unused) - MAX_SHOWN_POSES} more" if len(unused) > MAX_SHOWN_POSES else "")
             )
 
-    def _choose_objects(self, part: RecordedFile, sections: dict[str, dict[str, Any]]) -> None:
+    def _choose_objects(self, recorded: RecordedFile, sections: dict[str, dict[str, Any]]) -> None:
         """If every run has a file of each of several objects, take the file of the moving object."""
         sources = {name: SignalSource.model_validate(section) for name, section in sections.items()}
-        mapping = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": sources})
-        merged = moving_objects(self.groups, part.pattern, mapping)
+        mapping = recorded.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": sources})
+        merged = moving_objects(self.groups, recorded.pattern, mapping)
         if merged is None:
             return
         self.groups, pattern, objects = merged
@@ -116,13 +116,13 @@ class ObjectSections:
 
     def _ball(self, signals: dict[str, dict[str, Any]]) -> RecordedFile | None:
         """Add positions of an object without tracked orientation, such as a ball, to the signals."""
-        for part in self._parts:
-            names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
+        for recorded in self._files:
+            names = [name for name, cells in recorded.columns.items() if vector_width(cells) == 1]
             positions, _, planes = axes_of(names)
-            heights = [] if positions or planes else [[name] for name in names if name not in part.clock_columns]
+            heights = [] if positions or planes else [[name] for name in names if name not in recorded.clock_columns]
             for columns in (*positions, *planes, *heights):
                 file = open_file(
-                    part.path, part.raw_mapping(NO_ROBOT, (), self._rate), part.names, ("object_position",)
+                    recorded.path, recorded.raw_mapping(NO_ROBOT, (), self._rate), recorded.names, ("object_position",)
                 )
                 track = file.series("object_position", SignalSource(unit="m", columns=tuple(columns)))
                 if len(columns) in (IN_A_PLANE, HEIGHT_ALONE):
@@ -140,11 +140,11 @@ class ObjectSections:
                     "no column is its orientation: enough for a ball only, with its spin (body.spin)"
                 )
                 signals["object_position"] = {
-                    **source_in(part, {"columns": columns}, self.groups),
+                    **source_in(recorded, {"columns": columns}, self.groups),
                     "unit": unit.value,
                     **unit.further,
                 }
-                return part
+                return recorded
         return None
 
     def _length(self, track: Series) -> Guess:
@@ -153,10 +153,12 @@ class ObjectSections:
         return unit_of_flight(track.time, position) if self._flange is None else unit_of_length(position)
 
     def _pose_sections(
-        self, part: RecordedFile, position: dict[str, Any], quaternion: dict[str, Any] | None, by_name: bool
+        self, recorded: RecordedFile, position: dict[str, Any], quaternion: dict[str, Any] | None, by_name: bool
     ) -> dict[str, dict[str, Any]] | None:
         source = position if quaternion is None else None
-        file = open_file(part.path, part.raw_mapping(NO_ROBOT, (), self._rate, source), part.names, ("object_pose",))
+        file = open_file(
+            recorded.path, recorded.raw_mapping(NO_ROBOT, (), self._rate, source), recorded.names, ("object_pose",)
+        )
 
         def track(name: SignalName, source: dict[str, Any]) -> Series | None:
             unit = "-" if name == "object_quaternion" else "m"
@@ -177,7 +179,7 @@ class ObjectSections:
             if order is None or pose is None:
                 return None
             length = self._length(pose)
-            matrices = are_transforms(np.shape(part.columns.get(position.get("array", ""), ())))
+            matrices = are_transforms(np.shape(recorded.columns.get(position.get("array", ""), ())))
             if matrices:
                 order = Guess("xyzw", "")
             evidence = "holds homogeneous matrices" if matrices else "holds a position and a unit quaternion"
@@ -185,7 +187,7 @@ class ObjectSections:
             evidence = "; ".join(filter(None, (length.evidence, order.evidence)))
             self._notes.add("signals.object_pose.unit", length.value, evidence, length.sure and order.sure)
             further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
-            return {"object_pose": {**source_in(part, position, self.groups), "unit": length.value, **further}}
+            return {"object_pose": {**source_in(recorded, position, self.groups), "unit": length.value, **further}}
         positions, quaternions = track("object_position", position), track("object_quaternion", quaternion)
         order = None if quaternions is None else quaternion_order(quaternions.values)
         if positions is None or order is None:
@@ -201,21 +203,21 @@ class ObjectSections:
         self._notes.add("signals.object_position.unit", length.value, length.evidence, length.sure)
         self._notes.add("signals.object_quaternion", order.value, order.evidence, order.sure and by_name)
         return {
-            "object_position": {**source_in(part, position, self.groups), "unit": length.value},
-            "object_quaternion": {**source_in(part, quaternion, self.groups), "unit": "-", **further},
+            "object_position": {**source_in(recorded, position, self.groups), "unit": length.value},
+            "object_quaternion": {**source_in(recorded, quaternion, self.groups), "unit": "-", **further},
         }
 
 
-def poses_in(part: RecordedFile, with_robot: bool) -> list[tuple[dict[str, Any], dict[str, Any] | None, bool]]:
+def poses_in(recorded: RecordedFile, with_robot: bool) -> list[tuple[dict[str, Any], dict[str, Any] | None, bool]]:
     """Sources of a pose: seven numbers, or position and quaternion, and whether these are paired by name."""
     poses = [
         (candidate.source, None, True)
-        for candidate in part.candidates
+        for candidate in recorded.candidates
         if candidate.pose or candidate.width == 7 and not with_robot
     ]
-    vectors = {name: vector_width(cells) for name, cells in part.columns.items()}
+    vectors = {name: vector_width(cells) for name, cells in recorded.columns.items()}
     sources = {name: {"column": name} for name in vectors}
-    for name, column in part.columns.items():  # arrays of an array file are no columns
+    for name, column in recorded.columns.items():  # arrays of an array file are no columns
         if isinstance(column, np.ndarray) and column.ndim == 2:
             vectors[name], sources[name] = width_of(column.shape), {"array": name}
     names = [name for name in vectors if not (with_robot and OF_THE_ROBOT.search(name))]
@@ -250,5 +252,5 @@ def _body_of(source: dict[str, Any]) -> tuple[str, ...]:
     """Words of a source that name the body: the common words of its columns except those for a pose."""
     columns = source.get("columns") or [source.get("column") or source.get("array") or ""]
     words = [re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", name) for name in columns]
-    common = [word.lower() for word in words[0] if all(word in parts for parts in words)]
+    common = [word.lower() for word in words[0] if all(word in other_words for other_words in words)]
     return tuple(word for word in common if not OF_A_POSE.fullmatch(word))

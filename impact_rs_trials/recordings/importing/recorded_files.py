@@ -167,25 +167,25 @@ class ImportedFiles:
     """Files that are described together, with their common rate and notes.
 
     Attributes:
-        parts: One file of each kind.
+        files: One file of each kind.
         groups: Files by kind and run.
         rate: Sampling rate of files without timestamps [Hz]; None: they have timestamps.
         notes: Findings, appended to.
     """
 
-    parts: Sequence[RecordedFile]
+    files: Sequence[RecordedFile]
     groups: FileGroups
     rate: float | None
     notes: Notes
 
 
-def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> RecordedFile:
+def open_recorded(pattern: str, path: Path, several_files: bool, notes: Notes) -> RecordedFile:
     """A file with its contents; with several runs in it, the first.
 
     Args:
         pattern: Its kind among the files of a run; empty: a run is one file.
         path: The file.
-        spread: Whether a run lies in several files.
+        several_files: Whether a run has several files.
         notes: Findings, appended to.
 
     Raises:
@@ -194,28 +194,28 @@ def open_recorded(pattern: str, path: Path, spread: bool, notes: Notes) -> Recor
     if is_bag_folder(path) or suffix_of(path) in BAG_SUFFIXES:
         return RecordedFile(pattern, path, TableLayout(), {}, candidates_of(path), None)
     if suffix_of(path) in ARRAY_SUFFIXES:
-        return _of_arrays(pattern, path, spread, notes)
+        return _of_arrays(pattern, path, several_files, notes)
     layout_guess = find_layout(path)
     layout = layout_guess.value
     if layout_guess.evidence:
         notes.add(f"table ({path.name})", flow(layout.model_dump(exclude_defaults=True)), layout_guess.evidence)
     columns = read_columns(path, layout).cells
-    run, column = "", None if spread else run_column_of(columns)
+    run, column = "", None if several_files else run_column_of(columns)
     if column is not None:
         run = runs_of(columns[column])[0]
         notes.add("run_column", column, "holds the run of every row")
         columns = read_rows(path, layout, column, run).cells
-    part = RecordedFile(pattern, path, layout, columns, candidates_of(path, layout), clock_of(columns))
-    return replace(part, run=run, run_column=column)
+    recorded = RecordedFile(pattern, path, layout, columns, candidates_of(path, layout), clock_of(columns))
+    return replace(recorded, run=run, run_column=column)
 
 
-def _of_arrays(pattern: str, path: Path, spread: bool, notes: Notes) -> RecordedFile:
+def _of_arrays(pattern: str, path: Path, several_files: bool, notes: Notes) -> RecordedFile:
     """A file of arrays; if its groups are runs, the arrays of the first run, with ``{run}`` in their names."""
     columns, candidates = ArrayFile.arrays_of(path), candidates_of(path)
     groups, run = run_groups_of(columns), ""
     if groups is not None:
         listed = ", ".join(f"{groups.before}{name}" for name in groups.names[:MAX_SHOWN_GROUPS])
-        if groups.recorded and not spread:
+        if groups.recorded and not several_files:
             run = groups.names[0]
             columns = {label: values for name, values in columns.items() if (label := groups.with_placeholder(name))}
             relabelled = [(candidate, groups.with_placeholder(candidate.source["array"])) for candidate in candidates]
@@ -249,30 +249,36 @@ def column_names(path: Path) -> frozenset[str]:
     return frozenset(read_columns(path, layout).cells) if layout.header != 0 else frozenset()
 
 
-def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None) -> dict[str, str]:
+def read_streams(recorded: RecordedFile, robot: str, count: int, rate: float | None) -> dict[str, str]:
     """Read the raw numbers of all candidates that are as wide as the robot has joints; reasons of refusals by label."""
     refused: dict[str, str] = {}
-    _add_windows(part, count)
-    if count == 1 and part.layout.header != 0:
-        key = "array" if part.is_array_file else "column"
-        columns = {name: values for name, values in part.columns.items() if name not in part.clock_columns}
-        part.candidates += single_candidates(columns, key)
-    part.candidates += [
-        candidate_part for candidate in part.candidates for candidate_part in parts_of(candidate, count)
+    _add_windows(recorded, count)
+    if count == 1 and recorded.layout.header != 0:
+        key = "array" if recorded.is_array_file else "column"
+        columns = {name: values for name, values in recorded.columns.items() if name not in recorded.clock_columns}
+        recorded.candidates += single_candidates(columns, key)
+    recorded.candidates += [
+        candidate_part for candidate in recorded.candidates for candidate_part in parts_of(candidate, count)
     ]
     numbered = tuple(f"joint{number}" for number in range(1, count + 1))
-    shared = None if part.is_bag else open_file(part.path, part.raw_mapping(robot, numbered, rate), part.names, ())
-    if part.is_bag:
-        read_topics(part.path, {candidate.source["topic"] for candidate in part.candidates})
-    for candidate in part.candidates:
+    shared = (
+        None
+        if recorded.is_bag
+        else open_file(recorded.path, recorded.raw_mapping(robot, numbered, rate), recorded.names, ())
+    )
+    if recorded.is_bag:
+        read_topics(recorded.path, {candidate.source["topic"] for candidate in recorded.candidates})
+    for candidate in recorded.candidates:
         if candidate.pose or (candidate.width != count and len(candidate.joints) < count):
             continue
         source = SignalSource(unit="rad", **candidate.source)
-        mapping = part.raw_mapping(robot, joints_of(candidate.joints, "", False, count), rate, candidate.source)
+        mapping = recorded.raw_mapping(robot, joints_of(candidate.joints, "", False, count), rate, candidate.source)
         if not candidate.stamped:
             mapping = mapping.model_copy(update={"time": mapping.time.model_copy(update={"stamp": "log"})})
         try:
-            series = (shared or open_file(part.path, mapping, part.names, ("position",))).series("position", source)
+            series = (shared or open_file(recorded.path, mapping, recorded.names, ("position",))).series(
+                "position", source
+            )
         except InputError as error:
             refused[candidate.label] = str(error)
             continue
@@ -280,28 +286,29 @@ def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None)
         rows = usable_rows(series)
         if rows.size > MIN_CHECKED_SAMPLES:
             series = replace(series, time=series.time[rows], values=series.values[rows])
-            part.streams.append(JointStream(part.pattern, candidate, series))
+            recorded.streams.append(JointStream(recorded.pattern, candidate, series))
         else:
             refused[candidate.label] = (
                 f"{rows.size} of {series.time.size} samples have numbers and a later stamp than all before, "
-                f"more than {MIN_CHECKED_SAMPLES} are needed; stamps were taken from {part.stamps}; the key time of a "
-                "mapping names other stamps, or a rate"
+                f"more than {MIN_CHECKED_SAMPLES} are needed; stamps were taken from {recorded.stamps}; the key time "
+                "of a mapping names other stamps, or a rate"
             )
-    _put_on_stamps(part)
+    _put_on_stamps(recorded)
     return refused
 
 
-def settle_clock(part: RecordedFile, model: RobotModel) -> None:
+def settle_clock(recorded: RecordedFile, model: RobotModel) -> None:
     """Choose an ambiguous unit of time by the likelihood of positions and velocities."""
-    clock = part.clock
+    clock = recorded.clock
     if clock is None or clock.sure or "steps" in clock.further:
         return
-    assumed, stamps = UNITS["time"][clock.further["unit"]], numbers_of(part.columns[clock.value])
+    assumed, stamps = UNITS["time"][clock.further["unit"]], numbers_of(recorded.columns[clock.value])
     choices = []
     for unit in (clock.further["unit"], *other_units(clock, stamps)):
         scale = UNITS["time"][unit] / assumed
         streams = [
-            replace(stream, series=replace(stream.series, time=scale * stream.series.time)) for stream in part.streams
+            replace(stream, series=replace(stream.series, time=scale * stream.series.time))
+            for stream in recorded.streams
         ]
         if motions := JointSearch(streams, model).motions():
             choices.append((motions[0].motion_log_posterior, unit, streams, motions[0]))
@@ -315,44 +322,46 @@ def settle_clock(part: RecordedFile, model: RobotModel) -> None:
     evidence = f"increases; in {unit}, {rate:.4g} Hz, {velocity} is the derivative of {position}"
     margin = choices[0][0] - choices[1][0] if len(choices) > 1 else np.inf
     evidence += "" if margin > DECISIVE_LOG_ODDS else f"; next: {choices[1][1]}, log odds {margin:.2g}"
-    part.clock = replace(clock, evidence=evidence, sure=bool(margin > DECISIVE_LOG_ODDS), further={"unit": unit})
-    part.streams = streams
+    recorded.clock = replace(clock, evidence=evidence, sure=bool(margin > DECISIVE_LOG_ODDS), further={"unit": unit})
+    recorded.streams = streams
 
 
-def _put_on_stamps(part: RecordedFile) -> None:
+def _put_on_stamps(recorded: RecordedFile) -> None:
     """Put signals without timestamps on the clock of the signals with timestamps, as the reader does."""
-    stamped = [stream.series for stream in part.streams if stream.candidate.stamped]
+    stamped = [stream.series for stream in recorded.streams if stream.candidate.stamped]
     shifts = [float(np.median(series.log - series.time)) for series in stamped if series.log is not None]
     if shifts:
-        part.streams = [
+        recorded.streams = [
             stream
             if stream.candidate.stamped
             else replace(stream, series=replace(stream.series, time=stream.series.time - shifts[0]))
-            for stream in part.streams
+            for stream in recorded.streams
         ]
 
 
-def _add_windows(part: RecordedFile, count: int) -> None:
+def _add_windows(recorded: RecordedFile, count: int) -> None:
     """Add windows of neighbouring unnamed columns; or all named columns of a file with a single signal."""
-    names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
-    numeric = [name for name in names if name not in part.clock_columns]
-    if not names or any(candidate.source.get("columns") for candidate in part.candidates):
+    names = [name for name, cells in recorded.columns.items() if vector_width(cells) == 1]
+    numeric = [name for name in names if name not in recorded.clock_columns]
+    if not names or any(candidate.source.get("columns") for candidate in recorded.candidates):
         return
-    if part.layout.header != 0 and suffix_of(part.path) != ".npy":
+    if recorded.layout.header != 0 and suffix_of(recorded.path) != ".npy":
         if (
             len(numeric) == count
             and not axes_of(numeric)[1]
-            and not any(candidate.width == count for candidate in part.candidates)
+            and not any(candidate.width == count for candidate in recorded.candidates)
         ):
             label = f"{numeric[0]} … {numeric[-1]}"
-            part.candidates.append(SignalCandidate(label, {"columns": numeric}, False, "", count))
+            recorded.candidates.append(SignalCandidate(label, {"columns": numeric}, False, "", count))
         return
-    part.candidates[:] = [
-        candidate for candidate in part.candidates if "columns" not in candidate.source and candidate.width == 1
+    recorded.candidates[:] = [
+        candidate for candidate in recorded.candidates if "columns" not in candidate.source and candidate.width == 1
     ]
     for start in range(len(numeric) - count + 1):
         window = numeric[start : start + count]
-        part.candidates.append(SignalCandidate(f"{window[0]} … {window[-1]}", {"columns": window}, False, "", count))
+        recorded.candidates.append(
+            SignalCandidate(f"{window[0]} … {window[-1]}", {"columns": window}, False, "", count)
+        )
 
 
 def frames_in(columns: AbstractMapping[str, Any]) -> dict[str, Any]:
@@ -393,14 +402,14 @@ def axes_of(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]], lis
     return positions, quaternions, planes
 
 
-def source_in(part: RecordedFile, source: AbstractMapping[str, Any], groups: FileGroups) -> dict[str, Any]:
+def source_in(recorded: RecordedFile, source: AbstractMapping[str, Any], groups: FileGroups) -> dict[str, Any]:
     """Source of a signal, with its file if a run has several."""
-    return {**source, **({"file": part.pattern} if groups.spread else {})}
+    return {**source, **({"file": recorded.pattern} if groups.several_files else {})}
 
 
-def refuse_several(part: RecordedFile, groups: FileGroups, contents: str, owner: str) -> None:
+def refuse_several(recorded: RecordedFile, groups: FileGroups, contents: str, owner: str) -> None:
     """Refuse files that differ in a word unless they hold objects that a robot hits."""
-    if OBJECT in part.pattern:
+    if OBJECT in recorded.pattern:
         objects = ", ".join(sorted(set(groups.objects.values())))
-        evidence = f"files {part.pattern} hold {contents}, of {objects}: import the runs of each {owner} separately"
-        raise InputError(evidence, file=part.path)
+        evidence = f"files {recorded.pattern} hold {contents}, of {objects}: import the runs of each {owner} separately"
+        raise InputError(evidence, file=recorded.path)

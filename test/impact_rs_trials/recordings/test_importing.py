@@ -1013,7 +1013,7 @@ def test_where_a_table_begins_is_found_from_its_lines(
 def test_files_are_grouped_by_what_differs_in_their_names(tmp_path: Path) -> None:
     def groups(*names: str) -> tuple[list[str], tuple[str, ...], bool]:
         found = group_files([tmp_path / name for name in names])
-        return sorted(found.kinds), found.runs, found.spread
+        return sorted(found.kinds), found.runs, found.several_files
 
     assert groups("hit_2.csv", "hit_10.csv") == ([""], ("hit_2.csv", "hit_10.csv"), False)
     two = groups("IIWA_7_hit_2.csv", "IIWA_7_hit_10.csv", "object_1_hit_2.csv", "object_1_hit_10.csv")
@@ -1075,7 +1075,7 @@ def test_whole_runs_have_positions_and_another_signal_in_every_file(
     found = whole_runs(group_files([tmp_path / name for name in names]), lambda _: frozenset(columns.split()), bodies)
     assert (found is not None) == whole
     if found is not None:
-        assert (found.runs, found.spread) == (names, False)
+        assert (found.runs, found.several_files) == (names, False)
 
 
 def test_bodies_that_were_tracked_one_by_one_are_runs(tmp_path: Path) -> None:
