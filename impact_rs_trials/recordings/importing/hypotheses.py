@@ -189,7 +189,7 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     """Units of a velocity, the likeliest first.
 
     Args:
-        motion: Of the joints.
+        motion: Motion of the joints.
         y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
     """
     informative = moves(motion.derivative, motion.facts)
@@ -210,20 +210,14 @@ def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
         further = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
         remarks = _contradictions(informative, unbounded)
         unit = motion.unit(turns, slide)
-        hypotheses.append(
-            RoleHypothesis(
-                "velocity", unit, text, _log_likelihood_ratio_of_copy(relation, informative), prior, further, remarks
-            )
-        )
+        log_ratio = _log_likelihood_ratio_of_copy(relation, informative)
+        hypotheses.append(RoleHypothesis("velocity", unit, text, log_ratio, prior, further, remarks))
     typical_factor = float(np.median(unbounded.factor[informative]))
     relation = fit(typical_factor * motion.derivative, y, independent=samples, bounds=SAME_UNIT_FACTORS)
     prior = float(np.log(PRIOR["other"] / np.log(MAX_FACTOR_RATIO)))
     text = f"{typical_factor:.3g} times the derivative of the position: at another sampling rate?"
-    hypotheses.append(
-        RoleHypothesis(
-            "other", "", text, _log_likelihood_ratio_of_copy(relation, informative), prior, {"rate_": typical_factor}
-        )
-    )
+    log_ratio = _log_likelihood_ratio_of_copy(relation, informative)
+    hypotheses.append(RoleHypothesis("other", "", text, log_ratio, prior, {"rate_": typical_factor}))
     text = "a different factor times the derivative of the position in every joint: friction?"
     log_ratio = _log_likelihood_ratio(unbounded, informative, FREE_FACTOR_LOG_DENSITY)
     hypotheses.append(RoleHypothesis("other", "", text, log_ratio, float(np.log(PRIOR["other"]))))
@@ -244,9 +238,8 @@ def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
             relation = fit(part / factor, y, further, samples, SAME_UNIT_FACTORS)
             text = f"repeats the {quantity}, in {unit}" if unit != "rad" else f"repeats the {quantity}"
             prior = float(np.log(PRIOR["copy"] * PRIOR[unit])) + _signs_prior(np.sign(relation.factor[informative]))
-            hypotheses.append(
-                RoleHypothesis("copy", unit, text, _log_likelihood_ratio_of_copy(relation, informative), prior)
-            )
+            log_ratio = _log_likelihood_ratio_of_copy(relation, informative)
+            hypotheses.append(RoleHypothesis("copy", unit, text, log_ratio, prior))
     return _ordered(hypotheses)
 
 
@@ -257,7 +250,7 @@ def is_magnitude(motion: JointMotion, y: Array) -> bool:
     accelerated and braked by torques of both signs.
 
     Args:
-        motion: Of the joints.
+        motion: Motion of the joints.
         y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
     """
     torque, changing = motion.rigid_torque, np.ptp(y, axis=0) > 0.0
@@ -308,7 +301,7 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     """Units of a torque, motor currents, or neither, the likeliest first; empty: the motion takes no torque.
 
     Args:
-        motion: Of the joints.
+        motion: Motion of the joints.
         y: The stream, :meth:`JointMotion.sampled`, ``(k, n)``.
     """
     rigid_torque = motion.rigid_torque

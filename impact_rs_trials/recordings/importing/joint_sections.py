@@ -327,11 +327,10 @@ class JointSections:
         recorded: RecordedFile,
     ) -> dict[str, Any]:
         """Add the torque of the joints to the signals; further keys of the mapping."""
-        best, *further = assignment.torques
+        best, *rivals = assignment.torques
         facts, listed = model.facts, assignment.alternatives["torque"]
-        rivals = [
-            reading for reading in further if not (recorded.is_bag and reading.stream.candidate.guess == "command")
-        ]
+        if recorded.is_bag:
+            rivals = [reading for reading in rivals if reading.stream.candidate.guess != "command"]
         computed = (
             "follows the model of the arm without any friction of its gears: a controller or a simulation computed it"
         )
@@ -347,8 +346,8 @@ class JointSections:
         signals["torque"] = self._joint_signal(best, "torque", recorded, listed, equals)
         motion = self._with_motion(best, assignment, model)
         at_motor = constant is not None or not facts.joint_torque_loop
-        text = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
-        text += "" if constant is not None else str(facts.joint_torque_loop).lower()
+        loop = f"joint_torque_loop of {robot} is {str(facts.joint_torque_loop).lower()}"
+        text = loop if constant is None else "currents are measured at motors"
         text += self._motors_in(motion, best.meaning, at_motor)
         self._notes.add("torque_measured_at", "motor" if at_motor else "link", text, sure=constant is not None)
         meaning = meaning_of(motion, best.meaning, best.computed and constant is None)

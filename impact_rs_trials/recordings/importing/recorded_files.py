@@ -257,17 +257,13 @@ def read_streams(recorded: RecordedFile, robot: str, count: int, rate: float | N
         key = "array" if recorded.is_array_file else "column"
         columns = {name: values for name, values in recorded.columns.items() if name not in recorded.clock_columns}
         recorded.candidates += single_candidates(columns, key)
-    recorded.candidates += [
-        candidate_part for candidate in recorded.candidates for candidate_part in parts_of(candidate, count)
-    ]
-    numbered = tuple(f"joint{number}" for number in range(1, count + 1))
-    shared = (
-        None
-        if recorded.is_bag
-        else open_file(recorded.path, recorded.raw_mapping(robot, numbered, rate), recorded.names, ())
-    )
+    recorded.candidates += [part for candidate in recorded.candidates for part in parts_of(candidate, count)]
+    shared = None
     if recorded.is_bag:
         read_topics(recorded.path, {candidate.source["topic"] for candidate in recorded.candidates})
+    else:
+        numbered = tuple(f"joint{number}" for number in range(1, count + 1))
+        shared = open_file(recorded.path, recorded.raw_mapping(robot, numbered, rate), recorded.names, ())
     for candidate in recorded.candidates:
         if candidate.pose or (candidate.width != count and len(candidate.joints) < count):
             continue
@@ -276,9 +272,8 @@ def read_streams(recorded: RecordedFile, robot: str, count: int, rate: float | N
         if not candidate.stamped:
             mapping = mapping.model_copy(update={"time": mapping.time.model_copy(update={"stamp": "log"})})
         try:
-            series = (shared or open_file(recorded.path, mapping, recorded.names, ("position",))).series(
-                "position", source
-            )
+            opened = shared or open_file(recorded.path, mapping, recorded.names, ("position",))
+            series = opened.series("position", source)
         except InputError as error:
             refused[candidate.label] = str(error)
             continue
