@@ -81,13 +81,13 @@ class PossibleReading:
         stream: Name of the stream.
         source: Its keys in a mapping, without unit.
         unit: Unit of its numbers, or the units of all joints.
-        log_odds: Log posterior odds of the chosen reading against it; below log(100) it is nearly as likely.
+        behind: Log posterior odds of the chosen reading against it; below log(100) it is nearly as likely.
     """
 
     stream: str
     source: dict[str, Any]
     unit: Any
-    log_odds: float
+    behind: float
     evidence: str
 
 

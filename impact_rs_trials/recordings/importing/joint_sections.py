@@ -454,7 +454,7 @@ class JointSections:
             evidence += "; the other numbers, as of a gripper, are left out"
             self._notes.remarks.append(f"signals.{name}: of {candidate.label} numbers are taken for the joints")
         rival = next((alternative for alternative in possible if alternative.stream != reading.stream.label), None)
-        margin = np.inf if rival is None else rival.log_odds
+        margin = np.inf if rival is None else rival.behind
         if rival is not None and margin < DECISIVE_LOG_ODDS:
             evidence += f"; next: {rival.stream}, log odds {margin:.2g}"
         evidence += "" if candidate.stamped else f"; {NO_HEADER}"

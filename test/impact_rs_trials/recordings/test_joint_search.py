@@ -72,7 +72,7 @@ def test_of_two_torques_names_say_which_was_measured(names: tuple[str, str], tak
     assert found.torques[0].stream.series.label == taken
     listed = found.alternatives["torque"]
     assert {stem_of(one) for one in listed} == set(names)
-    assert listed[1].log_odds == pytest.approx(6.0 if taken == "tau_meas" else 0.0, abs=3.1)
+    assert listed[1].behind == pytest.approx(6.0 if taken == "tau_meas" else 0.0, abs=3.1)
 
 
 def test_the_pose_of_a_tool_is_no_torque() -> None:
@@ -108,7 +108,7 @@ def test_positions_are_those_whose_velocities_and_torques_fit_best() -> None:
     assert found.velocity is not None and found.velocity.stream.series.label == "c"
     first, *others = found.alternatives["position"]
     asked = next(one for one in others if stem_of(one) == "a")
-    assert stem_of(first) == "b" and asked.log_odds > 20.0
+    assert stem_of(first) == "b" and asked.behind > 20.0
 
 
 @pytest.mark.parametrize("order", ["p v a", "a v p"])
@@ -132,7 +132,7 @@ def test_a_position_beside_it_by_a_constant_is_as_likely_and_its_name_decides() 
     found = assigned(q_des=motion["position"] + 1e-4, q=motion["position"], dq=motion["velocity"], tau=motion["effort"])
     assert found.position.stream.series.label == "q"
     first, second = found.alternatives["position"][:2]
-    assert first.log_odds == 0.0 and stem_of(second) == "q_des" and 0.0 < second.log_odds < 30.0
+    assert first.behind == 0.0 and stem_of(second) == "q_des" and 0.0 < second.behind < 30.0
 
 
 @pytest.mark.parametrize("gear", [1.0, 80.0])
@@ -174,5 +174,5 @@ def test_a_command_without_noise_is_not_taken_for_the_motion_that_follows_it(ord
     assert found.velocity is not None
     assert (found.position.stream.series.label, found.velocity.stream.series.label) == ("c", "d")
     assert [one.stream.series.label for one in found.torques] == [*torque]
-    listed = {stem_of(one): one.log_odds for one in reversed(found.alternatives["position"])}
+    listed = {stem_of(one): one.behind for one in reversed(found.alternatives["position"])}
     assert 0.0 < listed["a"] - listed["c"] < 1e3  # both are shown, and the velocities do not decide
