@@ -32,7 +32,7 @@ from impact_rs_trials.recordings.remarks import Remark, joined, remark
 MAX_SAMPLES = 40
 RIGHT_ANGLES = (0.0, 0.5 * np.pi, -0.5 * np.pi, np.pi)  # rad
 MIN_LOG_RATIO = 1.0  # of the mean squares of all joints, by which every changed direction or zero must lower them
-MAX_MISFIT_RATIO = 0.1  # of the squares that the best factors of the torques leave, and of the torques themselves
+MAX_MISFIT_RATIO = 0.1  # over the misfit of factors of the torques, and over the squares of the torques
 MIRRORED: tuple[SignalName, ...] = ("position", "velocity", "torque", "q_desired", "dq_desired")
 SHIFTED: tuple[SignalName, ...] = ("position", "q_desired")
 
@@ -47,68 +47,73 @@ def convention_warning(model: RobotModel, motion: AveragedMotion, torque: Array,
         mapping: Knows the robot, and has the remedy.
     """
     rows, measured = evenly(motion.time.size, MAX_SAMPLES), np.ptp(torque, axis=0) > 0.0
-    q, dq, ddq, tau = (one[rows] for one in (motion.position, motion.velocity, motion.acceleration, torque))
+    q, dq, ddq, tau = (signal[rows] for signal in (motion.position, motion.velocity, motion.acceleration, torque))
 
     def squares(choice: Array) -> Array:
         direction, zero = choice
-        beyond = direction * tau - _rigid(model, direction * q + zero, direction * dq, direction * ddq)
-        return _without_friction(beyond, dry_friction(direction * dq))[measured]
+        residual = direction * tau - _rigid(model, direction * q + zero, direction * dq, direction * ddq)
+        return _without_friction(residual, dry_friction(direction * dq))[measured]
 
     def score(choice: Array) -> float:
         changes = np.count_nonzero(choice[0] < 0.0) + np.count_nonzero(choice[1])
         return float(np.sum(np.log(np.maximum(squares(choice), 1e-12))) + MIN_LOG_RATIO * changes)
 
-    slides = np.array([joint.type == "prismatic" for joint in mapping.facts.joints])
-    choice = np.array([np.ones(slides.size), np.zeros(slides.size)])
+    prismatic = np.array([joint.type == "prismatic" for joint in mapping.facts.joints])
+    choice = np.array([np.ones(prismatic.size), np.zeros(prismatic.size)])
     if np.sum(squares(choice)) < MAX_MISFIT_RATIO * np.sum(np.mean(np.square(tau), axis=0)):
         return None
-    while score(better := min(_neighbours(choice, slides), key=score)) < score(choice):
-        choice = better
-    remaining = float(np.sum(squares(choice)))
+    while score(neighbour := min(_neighbours(choice, prismatic), key=score)) < score(choice):
+        choice = neighbour
+    misfit = float(np.sum(squares(choice)))
     factors = float(np.sum(_squares_with_factors(_rigid(model, q, dq, ddq), dry_friction(dq), tau)[measured]))
-    if remaining > MAX_MISFIT_RATIO * factors:
+    if misfit > MAX_MISFIT_RATIO * factors:
         return None
-    changed = ["directions"] * bool(np.any(choice[0] < 0.0)) + ["zeros"] * bool(np.any(choice[1]))
+    direction, zero = choice
+    changed = ["directions"] * bool(np.any(direction < 0.0)) + ["zeros"] * bool(np.any(zero))
     return remark(
-        "torques are those of joints with other {} ({:.2g} N m rms left, {:.2g} N m with factors of the torques). "
+        "torques belong to joints with other {} (residual {:.2g} N m rms, {:.2g} N m with factors of the torques). "
         "Remedy in the mapping: {}",
         " and ".join(changed), np.sqrt(remaining), np.sqrt(factors), joined(", ", _remedies(choice, mapping)),
     )  # fmt: skip
 
 
 def _rigid(model: RobotModel, q: Array, dq: Array, ddq: Array) -> Array:
-    """Torque that a motion takes, ``(k, n)`` [N m]."""
+    """Rigid-body torque of a motion, ``(k, n)`` [N m]."""
     return np.array([model.inverse_dynamics(*sample) for sample in zip(q, dq, ddq, strict=True)])
 
 
 def _without_friction(residual: Array, friction: Array) -> Array:
-    """Mean squares of residuals ``(k, n)`` after friction of each joint that brakes, ``(n,)``."""
+    """Mean squares of residuals ``(k, n)`` minus a fitted friction that brakes, ``(n,)``."""
     power, product = np.mean(np.square(friction), axis=0), np.mean(residual * friction, axis=0)
     explained = np.square(np.maximum(product, 0.0)) / np.maximum(power, 1e-300)
     return np.asarray(np.mean(np.square(residual), axis=0) - explained)
 
 
 def _squares_with_factors(rigid: Array, friction: Array, torque: Array) -> Array:
-    """Mean squares that torques a (rigid + c friction), c >= 0, leave of each joint, ``(n,)``."""
-    with_friction, alone = fit(rigid, torque, (friction,)), fit(rigid, torque)
+    """Mean squared residuals of the torque minus a (rigid + c friction), c >= 0, by joint, ``(n,)``."""
+    with_friction, without_friction = fit(rigid, torque, (friction,)), fit(rigid, torque)
     product = np.sum((torque - with_friction.factor * rigid) * friction, axis=0)
-    misfit = np.where(product * with_friction.factor > 0.0, with_friction.misfit, alone.misfit)
+    misfit = np.where(product * with_friction.factor > 0.0, with_friction.misfit, without_friction.misfit)
     return np.asarray(misfit / torque.shape[0])
 
 
-def _neighbours(choice: Array, slides: NDArray[np.bool_]) -> Iterator[Array]:
-    """Choices that differ in one or two joints; slides have no zeros at right angles."""
+def _neighbours(choice: Array, prismatic: NDArray[np.bool_]) -> Iterator[Array]:
+    """Choices that differ in one or two joints; prismatic joints have no zeros at right angles."""
     for count in (1, 2):
-        for joints in combinations(range(slides.size), count):
+        for joints in combinations(range(prismatic.size), count):
             options = [
-                [(direction, zero) for direction in (1.0, -1.0) for zero in ((0.0,) if slides[joint] else RIGHT_ANGLES)]
+                [
+                    (direction, zero)
+                    for direction in (1.0, -1.0)
+                    for zero in ((0.0,) if prismatic[joint] else RIGHT_ANGLES)
+                ]
                 for joint in joints
             ]
             for values in product(*options):
-                other = choice.copy()
-                other[:, list(joints)] = np.transpose(values)
-                if np.all(np.any(other != choice, axis=0)[list(joints)]):
-                    yield other
+                neighbour = choice.copy()
+                neighbour[:, list(joints)] = np.transpose(values)
+                if np.all(np.any(neighbour != choice, axis=0)[list(joints)]):
+                    yield neighbour
 
 
 def _remedies(choice: Array, mapping: Mapping) -> list[str]:

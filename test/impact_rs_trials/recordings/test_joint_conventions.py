@@ -68,7 +68,7 @@ def test_a_joint_in_another_convention_is_named_with_a_remedy_that_leaves_no_war
         zero = 0.5 * np.pi * rng.integers(0, 4, direction.size) * (rng.random(direction.size) < 0.2)
         other = in_convention(arm, direction, zero)
         for warning in arm_warnings(TIME, other, mapping, model):
-            if "torques are those of joints with other" in warning:
+            if "torques belong to joints with other" in warning:
                 assert arm_warnings(TIME, remedied(other, warning), mapping, model) == []
                 warned += 1
     assert warned >= 4  # the others turn light joints, or all
