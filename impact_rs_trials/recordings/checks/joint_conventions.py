@@ -68,12 +68,11 @@ def convention_warning(model: RobotModel, motion: AveragedMotion, torque: Array,
     factors = float(np.sum(_squares_with_factors(_rigid(model, q, dq, ddq), dry_friction(dq), tau)[measured]))
     if misfit > MAX_MISFIT_RATIO * factors:
         return None
-    direction, zero = choice
-    changed = ["directions"] * bool(np.any(direction < 0.0)) + ["zeros"] * bool(np.any(zero))
+    changed = ["directions"] * bool(np.any(choice[0] < 0.0)) + ["zeros"] * bool(np.any(choice[1]))
     return remark(
         "torques belong to joints with other {} (residual {:.2g} N m rms, {:.2g} N m with factors of the torques). "
         "Remedy in the mapping: {}",
-        " and ".join(changed), np.sqrt(remaining), np.sqrt(factors), joined(", ", _remedies(choice, mapping)),
+        " and ".join(changed), np.sqrt(misfit), np.sqrt(factors), joined(", ", _remedies(choice, mapping)),
     )  # fmt: skip
 
 
