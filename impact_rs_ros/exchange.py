@@ -191,7 +191,7 @@ class Outbox:
 
     def now(self, topic: str, tick: int, sample: Any) -> bytes:
         """Publish a sample at once; returns its bytes."""
-        data = self._streams[topic].one(tick, sample)
+        data = self._streams[topic].serialized(tick, sample)
         self._publishers[topic].publish(data)
         self.counts[topic] += 1
         return data

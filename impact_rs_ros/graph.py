@@ -30,7 +30,7 @@ from impact_rs_ros.presence import Presence
 from impact_rs_ros.trial_session import MEMBERS
 from impact_rs_sim.model import Model, model_text
 from impact_rs_trials.bags.trial_info import Outcome, TrialKey
-from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure, report_of_bag
+from impact_rs_trials.campaign import Manifest, TrialReport, record_failure, report_of_bag
 from impact_rs_trials.store import open_store
 
 START_TIMEOUT_S = 60.0  # for all nodes to answer; imports take some seconds on a busy machine
@@ -395,7 +395,7 @@ def run_trial(
                 outcome, message = _attempt(graph, goal)
     trace = graph.nodes.outputs() if outcome == "ABORTED" else ""
     report = TrialReport(key, outcome, "; ".join(filter(None, dict.fromkeys((message, *remarks)))), trace)
-    return keep_failure(open_store(directory), report)
+    return record_failure(open_store(directory), report)
 
 
 def _attempt(graph: Graph, goal: RunTrial.Goal) -> tuple[Outcome, str]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blind campaigns: a plant with a hidden effect, which is recorded in ``truth.json`` only.
 
-``make`` draws an effect and its size from a seed, records a campaign with it (``DIR/runs``) and writes the truth beside
-it. No diagnosis reads the truth.
+``make`` draws an effect and its size from a seed, records a campaign with it (``DIR/runs``) and writes the truth to
+``DIR/truth.json``. No diagnosis reads the truth.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Size:
-    """How large a campaign is: objects and cases of the push, repeats of push and excursion."""
+    """Size of a campaign: objects and cases of the push, repeats of push and excursion."""
 
     objects: tuple[str, ...]
     cases: tuple[str, ...]
@@ -77,10 +77,10 @@ def draw(
 ) -> Hidden:
     """Parameter values of an effect, ``magnitude`` parameter scales away from nominal, in a random direction.
 
-    ``worlds`` is what it is hidden in, for its bounds (a centre of mass lies inside the box). Where the nominal value
-    is a bound (friction cannot be negative) the effect goes the only way it can; values beyond a bound stop 10 % short
-    of it. An effect with a shape drawn from a range of its own only ever adds: what is taken away from a place drawn at
-    random need not be there. A parameter with a prior, which the data hardly determine, stays nominal.
+    The physics of ``worlds`` give the bounds (a centre of mass lies inside the box). If the nominal value is a bound
+    (friction cannot be negative), the only possible direction is taken; values beyond a bound stop 10 % short of it.
+    An effect whose shape is drawn from a range is always positive: a load drawn at a random position can be added
+    there, but not removed. A parameter with a prior, which the data hardly determine, stays nominal.
 
     Raises:
         InputError: It acts on neighbours of the object, and no world has a neighbour.
@@ -131,16 +131,16 @@ def draw_truth(
     """
     if kind not in KINDS:
         raise InputError(f"no kind {kind!r}; known: {', '.join(KINDS)}")
-    names = sorted(name for name, own in of_trials().items() if own.drawn and not own.of_measurement)
+    names = sorted(name for name, candidate in of_trials().items() if candidate.drawn and not candidate.of_measurement)
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     count = {"single": 1, "pair": 2}.get(kind, 0)
     if effect is None or count == 0:
         chosen = list(rng.choice(names, size=count, replace=False))
     else:
         chosen = effect.split("+")
-        known = sorted(of_trials())
-        if unknown := [name for name in chosen if name not in known]:
-            raise InputError(f"no effect {unknown[0]!r}; known effects: {', '.join(known)}")
+        effect_names = sorted(of_trials())
+        if unknown := [name for name in chosen if name not in effect_names]:
+            raise InputError(f"no effect {unknown[0]!r}; known effects: {', '.join(effect_names)}")
         if len(set(chosen)) != count or len(chosen) != count:
             expected = "one effect" if count == 1 else "two effects as FIRST+SECOND"
             raise InputError(f"got effect {effect!r}; expected {expected} for a {kind}")
@@ -153,31 +153,31 @@ def draw_truth(
 
 
 def draw_outside(
-    seed: int, name: str | None, magnitude: float | None, known: Collection[str] = OUTSIDE
+    seed: int, name: str | None, magnitude: float | None, names: Collection[str] = OUTSIDE
 ) -> tuple[str, float]:
     """An effect that is not in the library, and its size (1: noticeable).
 
-    Mechanisms of :data:`~impact_rs_sim.plant.unmodelled.OUTSIDE` are drawn; its laws are hidden where they are named.
+    Mechanisms of :data:`~impact_rs_sim.plant.unmodelled.OUTSIDE` are drawn; laws of that module are hidden if named.
 
     Raises:
-        InputError: There is no such outside effect.
+        InputError: No outside effect has that name.
     """
-    named = (*known, *LAWS) if known is OUTSIDE else known
-    if name is not None and name not in named:
-        raise InputError(f"no outside effect {name!r}; known: {', '.join(named)}")
+    allowed = (*names, *LAWS) if names is OUTSIDE else names
+    if name is not None and name not in allowed:
+        raise InputError(f"no outside effect {name!r}; known: {', '.join(allowed)}")
     rng = np.random.default_rng([seed, KINDS.index("outside")])
-    chosen = name or str(rng.choice(list(known)))
+    chosen = name or str(rng.choice(list(names)))
     return chosen, magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(4.0))))
 
 
 @dataclass(frozen=True)
 class Secret:
-    """All that a plant hides.
+    """All hidden effects of a plant.
 
     Attributes:
         hidden: Effects of the library.
-        outside: Effect outside it; None: none.
-        strength: Its size.
+        outside: Effect outside the library; None: no such effect.
+        strength: Size of the outside effect (1: noticeable).
         truth: Content of ``truth.json``.
     """
 
@@ -211,7 +211,8 @@ class Secret:
             "outside": outside,
             "outside_magnitude": strength,
             "effects": [
-                {"name": item.name, "magnitude": item.magnitude, "parameters": named(item, joints)} for item in hidden
+                {"name": item.name, "magnitude": item.magnitude, "parameters": named_values(item, joints)}
+                for item in hidden
             ],
         }
         if tuple(scenarios) != SCENARIOS:
@@ -225,8 +226,8 @@ class Secret:
             ModelEffect(
                 name=item["name"],
                 parameters={
-                    name: ParameterValue(estimate=one["value"], unit=one["unit"])
-                    for name, one in item["parameters"].items()
+                    name: ParameterValue(estimate=parameter["value"], unit=parameter["unit"])
+                    for name, parameter in item["parameters"].items()
                 },
             )
             for item in (json.loads(self.truth)["effects"] if self.truth else ())
@@ -234,16 +235,16 @@ class Secret:
         return Model(name="hidden", effects=effects) if effects else None
 
     def check(self, directory: Path) -> None:
-        """Refuse a folder that holds another truth.
+        """Check that a folder holds no other truth.
 
         Raises:
-            InputError: It does.
+            InputError: It holds another truth.
         """
         path = directory / TRUTH
         if path.exists() and path.read_text(encoding="utf-8") != self.truth:
             raise InputError("this folder holds another blind campaign; choose another folder", file=directory)
 
-    def keep(self, directory: Path) -> None:
+    def write(self, directory: Path) -> None:
         """Write the truth and create a folder for the trials; no diagnosis reads the truth."""
         (directory / RUNS).mkdir(parents=True, exist_ok=True)
         write_whole(directory / TRUTH, self.truth)
@@ -302,7 +303,7 @@ def run_task(task: BlindTask, record: Recorder = _record) -> str:
 def specs(size: str, scenarios: Sequence[str] = SCENARIOS) -> list[tuple[TrialSpec, int]]:
     """Conditions of a blind campaign, with the number of repeats of each.
 
-    A scenario that has none of the objects or cases of the size has all of its own.
+    If a scenario has no object (case) of the size, all its objects (cases) are taken.
 
     Raises:
         InputError: Unknown size or scenario.
@@ -310,16 +311,16 @@ def specs(size: str, scenarios: Sequence[str] = SCENARIOS) -> list[tuple[TrialSp
     if size not in SIZES:
         raise InputError(f"no size {size!r}; known: {', '.join(SIZES)}")
     plan = SIZES[size]
-    found: list[tuple[TrialSpec, int]] = []
+    conditions: list[tuple[TrialSpec, int]] = []
     for scenario in map(load_scenario, scenarios):
         if scenario.excursion is None:
             objects = [name for name in plan.objects if name in scenario.objects] or list(scenario.objects)
             cases = [name for name in plan.cases if name in scenario.cases] or list(scenario.cases)
-            found += [(TrialSpec.of(scenario, name, case), plan.repeats) for name in objects for case in cases]
+            conditions += [(TrialSpec.of(scenario, name, case), plan.repeats) for name in objects for case in cases]
         else:
             first = next(iter(scenario.objects))
-            found += [(TrialSpec.of(scenario, first, case), plan.excite_repeats) for case in scenario.cases]
-    return found
+            conditions += [(TrialSpec.of(scenario, first, case), plan.excite_repeats) for case in scenario.cases]
+    return conditions
 
 
 def tasks(
@@ -354,7 +355,7 @@ def make(
     Args:
         directory: Folder of the campaign.
         seed: Seed of the draws.
-        map_tasks: Who does the work.
+        map_tasks: Map over workers.
         kind: One of ``KINDS``.
         effect: Effect to hide, two as ``first+second``; None: drawn.
         size: One of ``SIZES``.
@@ -371,23 +372,26 @@ def make(
     todo = tasks(directory, seed, size, list(secret.hidden), secret.outside, secret.strength, scenarios)
     secret.check(directory)
     with owned(Folder(directory)):
-        secret.keep(directory)
+        secret.write(directory)
         for done, _ in enumerate(map_tasks(work, todo), start=1):
             yield done, len(todo)
 
 
 def _joints(scenarios: Sequence[str]) -> tuple[JointType, ...]:
-    """How the joints of every arm of some scenarios move.
+    """Joint types of the arms of some scenarios, which have to agree.
 
     Raises:
-        InputError: They differ, or there is no scenario.
+        InputError: The arms differ, or there is no scenario.
     """
     robots = {name: load_scenario(name).robots.values() for name in scenarios}
     facts = {name: [robot.robot_facts for robot in arms] for name, arms in robots.items()}
-    kinds = {one.joint_types for own in facts.values() for one in own}
+    kinds = {robot_facts.joint_types for of_scenario in facts.values() for robot_facts in of_scenario}
     if len(kinds) != 1:
-        counts = {name: sorted({one.joint_count for one in own}) for name, own in facts.items()}
-        listed = ", ".join(f"{name}: {', '.join(map(str, own))}" for name, own in counts.items())
+        counts = {
+            name: sorted({robot_facts.joint_count for robot_facts in of_scenario})
+            for name, of_scenario in facts.items()
+        }
+        listed = ", ".join(f"{name}: {', '.join(map(str, of_scenario))}" for name, of_scenario in counts.items())
         raise InputError(
             "a blind campaign needs arms with the same number of joints, of the same types (revolute, prismatic); got "
             f"{listed or 'none'}"
@@ -395,7 +399,7 @@ def _joints(scenarios: Sequence[str]) -> tuple[JointType, ...]:
     return kinds.pop()
 
 
-def named(item: Hidden, joints: Joints) -> dict[str, Any]:
+def named_values(item: Hidden, joints: Joints) -> dict[str, Any]:
     """Parameters of a hidden effect with their units, in the format of the truth."""
     scalars = library()[item.name].scalars(joints)
     return {

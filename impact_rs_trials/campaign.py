@@ -82,10 +82,10 @@ class Manifest(Schema):
     )
 
     @model_validator(mode="after")
-    def _every_trial_has_a_bag_of_its_own(self) -> Self:
-        twice = [name for name, count in Counter(key.name for key in self.keys).items() if count > 1]
-        if twice:
-            raise ValueError(f"{len(twice)} bags would hold several trials, the first is {twice[0]}")
+    def _each_trial_has_its_bag(self) -> Self:
+        repeated = [name for name, count in Counter(key.name for key in self.keys).items() if count > 1]
+        if repeated:
+            raise ValueError(f"{len(repeated)} bags would hold several trials, the first is {repeated[0]}")
         return self
 
     @property
@@ -93,9 +93,9 @@ class Manifest(Schema):
         """Every trial of the campaign, condition by condition."""
         if self.planned:
             return [
-                TrialKey(one.object, one.case, one.scale, repeat)
-                for one in self.planned
-                for repeat in range(one.trials)
+                TrialKey(condition.object, condition.case, condition.scale, repeat)
+                for condition in self.planned
+                for repeat in range(condition.trials)
             ]
         return [
             TrialKey(name, case, scale, repeat)
@@ -121,10 +121,10 @@ class Manifest(Schema):
         return [key for key in shuffled if key in wanted]
 
     def trial(self, key: TrialKey) -> Trial:
-        """One trial, with all that is needed to run it anywhere.
+        """One trial, complete for any worker.
 
         Raises:
-            InputError: There is no such scenario (any more), or it has lost this object, case or setting.
+            InputError: The scenario does not exist (any more), or has lost this object, case or setting.
         """
         scenario = load_scenario(self.scenario).with_settings(self.settings)
         spec = TrialSpec.of(scenario, key.object, key.case, key.scale, self.motor_inertia)
@@ -154,16 +154,16 @@ class Trial:
 
     @property
     def key(self) -> TrialKey:
-        """Which trial of its campaign."""
+        """Key of the trial in its campaign."""
         return TrialKey(self.spec.object, self.spec.case, self.spec.scale, self.repeat)
 
 
 @dataclass(frozen=True)
 class TrialReport:
-    """How one trial of a campaign went.
+    """Result of one trial of a campaign.
 
     Attributes:
-        key: Which trial.
+        key: Key of the trial.
         outcome: One of ``OUTCOMES``.
         message: Reason of a failure in one line; else empty.
         trace: Traceback of the process that ran it, or the output of its nodes, if any.
@@ -186,7 +186,7 @@ def make_manifest(
     plant: Simulator = "bullet",
     order: Order = "random",
 ) -> Manifest:
-    """A manifest with the scenario's own values where nothing is given.
+    """A manifest; arguments that are None have the values of the scenario.
 
     Raises:
         InputError: Unknown scenario, object, case or setting, a pose that cannot be reached, a set without friction
@@ -292,20 +292,20 @@ def report_of_bag(key: TrialKey, path: Path) -> TrialReport:
 def wrong_outcomes(reports: Iterable[TrialReport]) -> list[str]:
     """Summary of the unsuccessful trials of a campaign: a line per outcome, the gravest first.
 
-    A line gives their number, and name and reason of the first by name. Aborted trials have no bag and are reported one
-    by one elsewhere.
+    A line has the number of trials, and the reason and name of the first in alphabetical order. Aborted trials have no
+    bag and are reported one by one elsewhere.
     """
-    found: dict[str, list[TrialReport]] = {outcome: [] for outcome in OUTCOMES}
+    by_outcome: dict[str, list[TrialReport]] = {outcome: [] for outcome in OUTCOMES}
     for report in sorted(reports, key=lambda report: report.key.name):
-        found[report.outcome].append(report)
+        by_outcome[report.outcome].append(report)
     return [
-        f"{outcome} {len(some)}: {some[0].message or OUTCOMES[outcome]} ({some[0].key.name})"
-        for outcome, some in found.items()
-        if some and outcome not in ("OK", "ABORTED")
+        f"{outcome} {len(equal)}: {equal[0].message or OUTCOMES[outcome]} ({equal[0].key.name})"
+        for outcome, equal in by_outcome.items()
+        if equal and outcome not in ("OK", "ABORTED")
     ]
 
 
-def keep_failure(store: Store, report: TrialReport) -> TrialReport:
+def record_failure(store: Store, report: TrialReport) -> TrialReport:
     """Write why a trial was aborted to ``.failures``; for a finished trial, remove the file of an earlier run.
 
     Returns:
@@ -336,7 +336,7 @@ def run_campaign(
         place: Campaign folder, or its URL.
         manifest: The campaign.
         workforce: Workers that run it; None: this process.
-        run: Runs one trial, and leaves its bag in the folder it is given.
+        run: Runs one trial, and writes its bag into the given folder.
 
     Raises:
         InputError: The folder holds another campaign, another process works on it, the scheduler cannot be used, or
@@ -366,13 +366,13 @@ def run_campaigns(
         for store, manifest in campaigns.items():
             open_campaign(store, manifest)
         for store, trial in tasks:
-            yield store, keep_failure(store, run_in(store, run, trial))
+            yield store, record_failure(store, run_in(store, run, trial))
         return
     with client_of(workforce) as client:
         for store, manifest in campaigns.items():  # now that there are workers: without them nothing is left behind
             open_campaign(store, manifest)
         for store, report in _run_on_cluster(client, run, tasks):
-            yield store, keep_failure(store, report)
+            yield store, record_failure(store, report)
 
 
 def _run_on_cluster(

@@ -14,9 +14,9 @@ class CheckedBound:
 
     Attributes:
         name: Name of the measured quantity.
-        value: Largest value, of ``at_least`` the smallest.
+        value: Largest measured value; for ``at_least`` the smallest.
         bound: Its bound.
-        unit: Unit of both.
+        unit: Unit of value and bound.
         where: Joint, time or remark.
         at_least: Whether the bound is a lower one.
     """
@@ -31,8 +31,8 @@ class CheckedBound:
     @property
     def margin(self) -> float:
         """Margin of the value to the bound, in the unit; negative: beyond. Rounding errors are ignored."""
-        left = self.value - self.bound if self.at_least else self.bound - self.value
-        return 0.0 if abs(left) <= BOUND_ROUNDING_SHARE * abs(self.bound) else left
+        margin = self.value - self.bound if self.at_least else self.bound - self.value
+        return 0.0 if abs(margin) <= BOUND_ROUNDING_SHARE * abs(self.bound) else margin
 
     @property
     def holds(self) -> bool:

@@ -39,7 +39,7 @@ class Noted(NamedTuple):
 
 
 class _Representer(RoundTripRepresenter):
-    """Writes floats that YAML 1.1 reads as such: it takes a power of ten without a decimal point for a text."""
+    """Writes floats with a decimal point: YAML 1.1 reads 1e-3 as a text, and 1.0e-3 as a number."""
 
     def represent_number(self, number: float) -> ScalarNode:
         """A float that was not read from a file."""
@@ -86,27 +86,27 @@ def scalar(text: str) -> str:
 
 def section(entries: Mapping[str, Any]) -> CommentedMap:
     """A mapping of values or sections, each perhaps :class:`Noted`."""
-    made = CommentedMap()
+    mapping = CommentedMap()
     for key, entry in entries.items():
         value, comment = entry if isinstance(entry, Noted) else (entry, "")
-        made[key] = value
+        mapping[key] = value
         if comment:
-            made.yaml_add_eol_comment(comment, key, column=COMMENT_COLUMN)
-    return made
+            mapping.yaml_add_eol_comment(comment, key, column=COMMENT_COLUMN)
+    return mapping
 
 
 def row(values: Iterable[Any]) -> CommentedSeq:
     """A list in one line, numbers with :data:`YAML_DIGITS` significant digits."""
-    made = CommentedSeq(rounded(value) if isinstance(value, float) else value for value in values)
-    made.fa.set_flow_style()
-    return made
+    sequence = CommentedSeq(rounded(value) if isinstance(value, float) else value for value in values)
+    sequence.fa.set_flow_style()
+    return sequence
 
 
 def in_one_line(content: Mapping[str, Any]) -> CommentedMap:
     """A mapping in one line."""
-    made = section(content)
-    made.fa.set_flow_style()
-    return made
+    mapping = section(content)
+    mapping.fa.set_flow_style()
+    return mapping
 
 
 def rounded(value: float) -> float:

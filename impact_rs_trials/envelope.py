@@ -16,7 +16,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import PositiveNumber, Schema
 from impact_rs_trials.spec import TrialSpec
 
-LIMIT_ROUNDING_SHARE = 1e-9  # of a limit that a case is made for
+LIMIT_ROUNDING_SHARE = 1e-9  # of a limit; a case may be designed to reach it exactly
 
 
 @dataclass(frozen=True)
@@ -47,24 +47,24 @@ class CellEnvelope(Schema):
     impulse: PositiveNumber = Field(description="largest predicted impulse on the object [N s]")
 
     def complaint(self, spec: TrialSpec) -> str:
-        """Why a trial is outside; empty: it is inside.
+        """Reason why a trial is outside of the envelope; empty: it is inside.
 
         Raises:
             InputError: The trial cannot be planned.
         """
         objects = self.objects if spec.scenario.excursion is None else ()  # a free motion touches none
-        named = ((spec.scenario.name, self.scenarios), (spec.object, objects), (spec.case, self.cases))
-        for name, known in named:
-            if known and name not in known:
-                return f"{name} is not in the envelope ({', '.join(known)})"
+        names = ((spec.scenario.name, self.scenarios), (spec.object, objects), (spec.case, self.cases))
+        for name, allowed in names:
+            if allowed and name not in allowed:
+                return f"{name} is not in the envelope ({', '.join(allowed)})"
         motion = demand_of(spec)
-        for what, value, limit, unit in (
+        for quantity, value, limit, unit in (
             ("reference speed", motion.speed, self.speed, " m/s"),
             ("speed of a joint over its limit", motion.joint_speed, self.joint_speed, ""),
             ("predicted impulse", motion.impulse, self.impulse, " N s"),
         ):
             if not value <= limit * (1.0 + LIMIT_ROUNDING_SHARE):
-                return f"{what} {value:.3g}{unit}, the envelope allows {limit:g}{unit}"
+                return f"{quantity} {value:.3g}{unit}, the envelope allows {limit:g}{unit}"
         return ""
 
     def check(self, spec: TrialSpec) -> None:
@@ -87,5 +87,5 @@ def demand_of(spec: TrialSpec) -> Demand:
         velocity = plan.scene.arms[name].velocity
         share = max(share, float(np.max(np.abs(velocity) / model.velocity_max)))
     contacts = () if plan.impact is None else plan.impact.contacts
-    pushed = [contact.impulse for contact in contacts if contact.body_b in plan.arms]
-    return Demand(speed, share, float(np.linalg.norm(np.sum(pushed, axis=0))) if pushed else 0.0)
+    impulses = [contact.impulse for contact in contacts if contact.body_b in plan.arms]
+    return Demand(speed, share, float(np.linalg.norm(np.sum(impulses, axis=0))) if impulses else 0.0)

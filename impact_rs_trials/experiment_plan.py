@@ -77,28 +77,28 @@ class ExperimentPlan(Schema):
     @model_validator(mode="after")
     def _every_campaign_has_a_folder(self) -> ExperimentPlan:
         folders = [campaign.folder for campaign in self.campaigns]
-        if twice := [name for name in folders if folders.count(name) > 1]:
-            raise ValueError(f"two campaigns have the folder {twice[0]}, expected another for each")
+        if repeated := [name for name in folders if folders.count(name) > 1]:
+            raise ValueError(f"two campaigns have the folder {repeated[0]}, expected another for each")
         return self
 
     @property
     def trials(self) -> int:
         """Number of planned trials."""
-        return sum(one.trials for campaign in self.campaigns for one in campaign.conditions)
+        return sum(condition.trials for campaign in self.campaigns for condition in campaign.conditions)
 
 
 def read_plan(path: Path) -> ExperimentPlan:
     """Read a plan, and check that its trials can be planned.
 
     Raises:
-        InputError: No plan, or a scenario, object or case that is not there.
+        InputError: Not a plan, or a scenario, object or case does not exist.
     """
     plan = load(ExperimentPlan, path)
     for number, campaign in enumerate(plan.campaigns):
         try:
             scenario = campaign.resolved
-            for one in campaign.conditions:
-                _ = TrialSpec.of(scenario, one.object, one.case, one.scale).scene
+            for condition in campaign.conditions:
+                _ = TrialSpec.of(scenario, condition.object, condition.case, condition.scale).scene
         except InputError as error:
             raise InputError(f"campaigns.{number}: {error}", file=path) from None
     return plan
@@ -127,7 +127,7 @@ def manifests_of(
     Raises:
         InputError: A scenario cannot be read, or its file cannot be written.
     """
-    found = {}
+    manifests = {}
     for campaign in plan.campaigns:
         scenario, settings = campaign.scenario, campaign.settings
         if settings and file_of is not None:
@@ -136,18 +136,18 @@ def manifests_of(
             scenario, settings = str(path.resolve()), {}
         content = {
             "scenario": scenario,
-            "objects": tuple(dict.fromkeys(one.object for one in campaign.conditions)),
-            "cases": tuple(dict.fromkeys(one.case for one in campaign.conditions)),
-            "velocity_scales": tuple(dict.fromkeys(one.scale for one in campaign.conditions)),
-            "trials": max(one.trials for one in campaign.conditions),
+            "objects": tuple(dict.fromkeys(condition.object for condition in campaign.conditions)),
+            "cases": tuple(dict.fromkeys(condition.case for condition in campaign.conditions)),
+            "velocity_scales": tuple(dict.fromkeys(condition.scale for condition in campaign.conditions)),
+            "trials": max(condition.trials for condition in campaign.conditions),
             "seed": plan.seed,
             "settings": settings,
             "plant": plant,
             "order": "random",
             "planned": campaign.conditions,
         }
-        found[campaign.folder] = validate(Manifest, content, f"campaign {campaign.folder!r} of the plan")
-    return found
+        manifests[campaign.folder] = validate(Manifest, content, f"campaign {campaign.folder!r} of the plan")
+    return manifests
 
 
 def write_scenario(scenario: Scenario, path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of files that several modules look for, each spelled here alone."""
+"""Names of files that several modules use."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ KEY = "friction_compensation"
 
 @dataclass(frozen=True)
 class ArmTask:
-    """Identification of one arm in one set; everything a worker needs."""
+    """Identification of one arm for one object and case; complete for any worker."""
 
     spec: TrialSpec
     arm: str
@@ -56,7 +56,7 @@ def identify(
         cases: Names of cases; None: all.
         runs: Runs to average, for each set, arm and controller.
         seed: Seed of scatter and noise.
-        effects: Effects of the plant in addition to the scenario; None: not any.
+        effects: Effects of the plant in addition to the scenario; None: no effects.
         map_tasks: Maps over worker processes.
         progress: Progress callback, called with the number of finished arms and of all arms.
 
@@ -75,8 +75,8 @@ def identify(
     ]
     sets: dict[str, dict[str, dict[str, ArmFriction]]] = {}
     progress(0, len(tasks))
-    for number, (task, found) in enumerate(zip(tasks, map_tasks(ArmTask.run, tasks), strict=True), start=1):
-        sets.setdefault(task.spec.object, {}).setdefault(task.spec.case, {})[task.arm] = found
+    for number, (task, friction) in enumerate(zip(tasks, map_tasks(ArmTask.run, tasks), strict=True), start=1):
+        sets.setdefault(task.spec.object, {}).setdefault(task.spec.case, {})[task.arm] = friction
         progress(number, len(tasks))
     return FrictionCompensation(
         scenario=scenario.name,
@@ -89,10 +89,10 @@ def identify(
 
 
 def prepare_output(scenario_name: str, path: Path) -> Path:
-    """Make the folder of a compensation that is to be written at ``path``, for identification takes long.
+    """Make the folder for a compensation before the long identification, and check that its files can be written.
 
     Returns:
-        Where the copy of the scenario goes that uses it.
+        Path for the copy of the scenario that uses the compensation.
 
     Raises:
         InputError: One of the two files exists already, the folder cannot be made, or there is no such scenario.

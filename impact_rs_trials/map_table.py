@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map for many questions at once: a table of impacts in, the same with the velocities after out."""
+"""The impact map for many impacts: read a table of states before, write a table with the velocities after."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Answers:
 
     Attributes:
         after: u^+, joint velocities of every arm and then the twist of the centre, ``(rows, nv)`` [rad/s, m/s]; NaN
-            where there is no answer.
+            if there is no answer.
         messages: Reason of a missing result, by row number.
     """
 
@@ -89,9 +89,9 @@ def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
         **{name: values.tolist() for name, values in zip(_headers(table), answers.after.T, strict=True)},
         "message": [answers.messages.get(row.number, "") for row in table.rows],
     }
-    with whole(target) as aside:
+    with whole(target) as temporary:
         if target.suffix == ".csv":
-            with aside.open("w", newline="", encoding="utf-8") as file:
+            with temporary.open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file)
                 writer.writerow(columns)
                 writer.writerows(zip(*columns.values(), strict=True))
@@ -99,11 +99,11 @@ def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
             import pyarrow
             import pyarrow.parquet
 
-            pyarrow.parquet.write_table(pyarrow.table(columns), aside)
+            pyarrow.parquet.write_table(pyarrow.table(columns), temporary)
 
 
 def _headers(table: ImpactTable) -> list[str]:
     """Headers of the velocities after, in the order of :attr:`Answers.after`."""
-    facts = {arm: own.facts for arm, own in table.rows[0].physics.arms.items()}
-    of_arms = [one for arm in table.arms for one in DQ_AFTER.of_arm(arm_label(arm, table.arms), facts[arm])]
-    return [header for one in (*of_arms, V_AFTER, W_AFTER) for header in one.headers]
+    facts = {arm: physics.facts for arm, physics in table.rows[0].physics.arms.items()}
+    joint_columns = [column for arm in table.arms for column in DQ_AFTER.of_arm(arm_label(arm, table.arms), facts[arm])]
+    return [header for column in (*joint_columns, V_AFTER, W_AFTER) for header in column.headers]

@@ -47,7 +47,7 @@ class ArmSignals:
         motor_velocity: dtheta [rad/s].
         torque_rate: dtau_J [N m/s].
         command_time: Times of the desired torques, ``(m,)`` [s].
-        command: tau_d with gravity, held until the next, ``(m, n)`` [N m].
+        command: tau_d with gravity, held until the next sample, ``(m, n)`` [N m].
         q_desired: Target of position servos, from whose law ``torque`` was computed [rad].
         dq_desired: Its velocity [rad/s].
         wrench_time: Times of the wrench, ``(w,)`` [s].
@@ -119,9 +119,9 @@ class Poses:
     def of_samples(samples: Sequence[ObjectMeasurement]) -> Poses:
         """From samples of a tracker."""
         return Poses(
-            np.array([one.time for one in samples]),
-            np.array([one.position for one in samples]).reshape(-1, 3),
-            np.array([one.quaternion for one in samples]).reshape(-1, 4),
+            np.array([sample.time for sample in samples]),
+            np.array([sample.position for sample in samples]).reshape(-1, 3),
+            np.array([sample.quaternion for sample in samples]).reshape(-1, 4),
         )
 
     @staticmethod
@@ -129,8 +129,8 @@ class Poses:
         """Simulations on the same clock along a first axis."""
         return Poses(
             simulations[0].time,
-            np.stack([one.position for one in simulations]),
-            np.stack([one.quaternion for one in simulations]),
+            np.stack([poses.position for poses in simulations]),
+            np.stack([poses.quaternion for poses in simulations]),
         )
 
     def at(self, times: Array) -> Poses:
@@ -170,11 +170,11 @@ class Signals:
         first = simulations[0]
         return cls(
             first.time,
-            {name: ArmSignals.stack([one.arms[name] for one in simulations]) for name in first.arms},
+            {name: ArmSignals.stack([signals.arms[name] for signals in simulations]) for name in first.arms},
             first.object_time,
-            np.stack([one.object_position for one in simulations]),
-            np.stack([one.object_quaternion for one in simulations]),
-            {name: Poses.stack([one.neighbours[name] for one in simulations]) for name in first.neighbours},
+            np.stack([signals.object_position for signals in simulations]),
+            np.stack([signals.object_quaternion for signals in simulations]),
+            {name: Poses.stack([signals.neighbours[name] for signals in simulations]) for name in first.neighbours},
         )
 
     @property
@@ -210,10 +210,13 @@ def signals_of_ticks(ticks: Iterable[Tick]) -> Signals:
             command_time=time,
             command=np.array([tick.commands[name].torque for tick in ticks]),
         )
-    seen = Poses.of_samples([tick.measurement.object for tick in ticks if tick.measurement.object is not None])
-    beside = [tick.measurement.neighbours for tick in ticks if tick.measurement.neighbours]
-    neighbours = {name: Poses.of_samples([one[name] for one in beside]) for name in (beside[0] if beside else ())}
-    return Signals(time, arms, seen.time, seen.position, seen.quaternion, neighbours)
+    tracked = Poses.of_samples([tick.measurement.object for tick in ticks if tick.measurement.object is not None])
+    neighbour_samples = [tick.measurement.neighbours for tick in ticks if tick.measurement.neighbours]
+    neighbours = {
+        name: Poses.of_samples([sample[name] for sample in neighbour_samples])
+        for name in (neighbour_samples[0] if neighbour_samples else ())
+    }
+    return Signals(time, arms, tracked.time, tracked.position, tracked.quaternion, neighbours)
 
 
 @dataclass(frozen=True)
@@ -221,9 +224,9 @@ class Run:
     """One run, measured or simulated.
 
     Attributes:
-        path: Where it was read from.
-        name: Its name in tables.
-        condition: Name of the condition, the same for repeats.
+        path: File or folder of the run.
+        name: Name in tables.
+        condition: Name of the condition, equal for all repeats.
         condition_key: Scenario, object and case or condition.
         hit: Whether there is an impact.
         physics: Nominal physics of the scene.
@@ -235,7 +238,7 @@ class Run:
         begin: Start in its file [s]; frozen sensors cut a file into runs.
         recorded: Time of the recording, seconds since 1970; None: unknown.
         gaps: Begin and end of gaps in the recording [s]; signals there are interpolated.
-        remarks: Remarks on how it was read.
+        remarks: Warnings about reading it.
     """
 
     path: Path
@@ -292,11 +295,11 @@ def run_of_trial(spec: TrialSpec, signals: Signals, path: Path) -> Run:
 
     Args:
         spec: Plan of the trial.
-        signals: Measured or simulated, with commands.
-        path: Where it was read from.
+        signals: Measured or simulated signals, with commands.
+        path: Folder of the trial.
 
     Raises:
-        InputError: There is no such scenario, object or case.
+        InputError: The scenario, object or case does not exist.
     """
     scene = spec.scene
     return Run(

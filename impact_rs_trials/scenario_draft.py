@@ -61,9 +61,9 @@ PATH_STEP_M = 0.02  # along the path of the pad
 COMFORTABLE = {"revolute": 0.3, "prismatic": 0.1}  # rad, m from a limit; more is no better
 MAX_DEFLECTION_RATIO = 0.5  # velocity across the pad's normal over velocity along it, by an impulse along it
 MIN_SINGULAR_VALUE = 0.1  # of the Jacobian (m, rad); more is no better
-SPEED_FACTORS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario, until the joints are fast enough
-THRESHOLD_FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the detection in the shipped scenario: a heavy arm needs more
-QUIET_THRESHOLD_FACTOR = 1.3  # a threshold for every trial has to hold in these few when lowered by it
+SPEED_FACTORS = (1.0, 0.8, 0.6, 0.45)  # of the shipped speeds, tried until the joints are fast enough
+THRESHOLD_FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the shipped detection threshold: a heavy arm needs more
+QUIET_THRESHOLD_FACTOR = 1.3  # safety: the simulated trials use a threshold lower by this factor
 NORMAL, UP = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 
@@ -74,7 +74,7 @@ class Pose:
     Attributes:
         position: Position of E, ``(3,)`` [m].
         q: Joint positions, ``(n,)`` [rad].
-        score: 0: a limit is reached on the way; 1: far from all.
+        score: 0 (a limit is reached on the path) to 1 (far from all limits).
     """
 
     position: Array
@@ -87,10 +87,10 @@ class Draft:
     """A scenario that works.
 
     Attributes:
-        text: YAML with comments.
-        scenario: The same, read.
+        text: Scenario file, YAML with comments.
+        scenario: The scenario of that text.
         speed: Share of the shipped scenario's speeds.
-        tried: Poses that were simulated before this one worked.
+        tried: Number of simulated poses that failed.
         choices: Choices with reasons, by key of the scenario; also in the head of ``text``.
     """
 
@@ -112,14 +112,14 @@ def draft(
     report: Report = lambda *_: None,
     proposed: ProposedObject | None = None,
 ) -> Draft:
-    """A working scenario with a box or two for an arm, or with an object of its own.
+    """A working scenario for an arm, with the boxes of the shipped scenario or another object.
 
     Args:
         facts_name: Robot of the scenario: a name in ``config/robots`` or a path.
         facts: The robot.
-        kind: Which shipped scenario it is made like.
-        report: Called with (what, done, total).
-        proposed: Object in place of the boxes; None: those of the shipped scenario.
+        kind: Shipped scenario that is the template.
+        report: Progress callback, called with (step, done, total).
+        proposed: Object in place of the boxes; None: boxes of the shipped scenario.
 
     Raises:
         InputError: An arm with fewer than six joints, which cannot keep a pad upright on its path, or no arm; an object
@@ -134,21 +134,24 @@ def draft(
             f"{facts_name} has {facts.joint_count} joints: a pad that keeps its orientation on its way needs six; "
             "write a scenario for impact-rs map by hand, with robots.NAME.impact.joint_position, or use recordings"
         )
-    if wrong := failures_of_facts(facts):
-        raise InputError(f"{facts_name}: {wrong[0].name}: {wrong[0].found}")
+    if failures_of_robot := failures_of_facts(facts):
+        raise InputError(f"{facts_name}: {failures_of_robot[0].name}: {failures_of_robot[0].found}")
     shipped = load_scenario(kind)
     effector = next(iter(shipped.robots.values())).end_effector
     model = RobotModel(facts, replace(effector.build(), mount_yaw=0.0))
-    starts = []
-    for number, start in enumerate(itertools.islice(upright_poses(model, SEED), SEARCHED_POSES)):
+    reachable = []
+    for number, reached in enumerate(itertools.islice(upright_poses(model, SEED), SEARCHED_POSES)):
         report("poses", number, SEARCHED_POSES)
-        if start is not None:
-            starts.append(start)
+        if reached is not None:
+            reachable.append(reached)
     drive = assumed_drive(facts, model.end_effector, shipped.timing.drive_period)
     motors = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
     failures: list[str] = []
     for round_, speed in enumerate(SPEED_FACTORS):
-        rated = sorted((_rated(model, start, shipped, speed, motors) for start in starts), key=lambda one: -one.score)
+        rated = sorted(
+            (_with_score(model, reached, shipped, speed, motors) for reached in reachable),
+            key=lambda candidate: -candidate.score,
+        )
         texts = (
             (pose, scenario_text(facts_name, facts, kind, model, pose, speed, proposed=proposed))
             for pose in rated
@@ -162,7 +165,7 @@ def draft(
                 try:
                     scenario = _read(text, facts)
                     lower = scenario.control.detection.threshold / QUIET_THRESHOLD_FACTOR
-                    _try(scenario.with_settings({"control.detection.threshold": lower}))
+                    _simulate(scenario.with_settings({"control.detection.threshold": lower}))
                 except _TooEarly as error:
                     failures.append(str(error))
                 except InputError as error:
@@ -170,16 +173,16 @@ def draft(
                     break
                 else:
                     search = (
-                        f"of {SEARCHED_POSES} random places {len(starts)} could be reached with the pad upright, and "
-                        f"{sum(one.score > 0.0 for one in rated)} kept clear of all limits on their way; this one has "
-                        f"score {pose.score:.2f} of 1, and {failures_text(failures)}"
+                        f"of {SEARCHED_POSES} random places {len(reachable)} could be reached with the pad upright, "
+                        f"and {sum(candidate.score > 0.0 for candidate in rated)} kept clear of all limits on their "
+                        f"way; this one has score {pose.score:.2f} of 1, and {failures_text(failures)}"
                     )
                     choices = choices_of(facts, kind, model, pose, speed, threshold, search)
                     if proposed is not None:
                         choices = {f"objects.{proposed.name}": "; ".join(proposed.origins)} | choices
-                    return Draft(_explained(text, choices), scenario, speed, len(failures), choices)
-    why = f"; the last that was simulated: {failures[-1]}" if failures else ""
-    raise Infeasible(f"no pose of {facts_name} among {SEARCHED_POSES} works for a {kind}{why}")
+                    return Draft(_with_explanations(text, choices), scenario, speed, len(failures), choices)
+    last_failure = f"; the last that was simulated: {failures[-1]}" if failures else ""
+    raise Infeasible(f"no pose of {facts_name} among {SEARCHED_POSES} works for a {kind}{last_failure}")
 
 
 def upright_poses(model: RobotModel, seed: int) -> Iterator[Pose | None]:
@@ -203,32 +206,34 @@ def _random_pose(model: RobotModel, reach: float, shoulder: float, rng: np.rando
         model: The arm.
         reach: Distance of E from joint 2 at which the arm begins to stretch [m].
         shoulder: Height of that joint [m].
-        rng: Draws place and guess.
+        rng: Random generator for position and joint guess.
     """
     distance, azimuth = reach * rng.uniform(0.4, 0.85), rng.uniform(-0.5, 0.5)
     height = max(shoulder + reach * rng.uniform(-0.35, 0.35), 0.25)
     middle = 0.5 * (model.position_min + model.position_max)
     guess = middle + 0.5 * (model.position_max - middle) * rng.uniform(-1.0, 1.0, model.joint_count)
     position = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
-    wanted = ImpactPose(position=tuple(position), pad_normal=tuple(NORMAL), pad_up=tuple(UP), joint_guess=tuple(guess))
+    impact_pose = ImpactPose(
+        position=tuple(position), pad_normal=tuple(NORMAL), pad_up=tuple(UP), joint_guess=tuple(guess)
+    )
     try:
-        q = model.inverse_kinematics(wanted.placement, {}, guess, further_starts=0)
+        q = model.inverse_kinematics(impact_pose.placement, {}, guess, further_starts=0)
     except Infeasible:
         return None
     return Pose(position, q, 0.0)
 
 
-def _rated(model: RobotModel, pose: Pose, scenario: Scenario, share: float, motors: Array) -> Pose:
-    """A pose with its scores for the path of the fastest case, and for the deflection of the pad by an impact."""
+def _with_score(model: RobotModel, pose: Pose, scenario: Scenario, share: float, motors: Array) -> Pose:
+    """A pose with its score for the path of the fastest case and for the deflection of the pad by an impact."""
     velocities = [share * np.array(next(iter(case.robots.values())).ante_velocity) for case in scenario.cases.values()]
     fastest = max(velocities, key=lambda velocity: float(np.linalg.norm(velocity)))
     timing = scenario.timing
     if scenario.excursion is not None:
-        ways = [share * np.array(scenario.excursion.start), share * np.array(scenario.excursion.end)]
+        paths = [share * np.array(scenario.excursion.start), share * np.array(scenario.excursion.end)]
     else:
         after = fastest[scenario.axis_index] * np.eye(3)[scenario.axis_index]
-        ways = [-0.5 * timing.approach * fastest, 0.5 * timing.push * max(scenario.velocity_scales) * after]
-    worst = min(_along(model, pose.q, way, float(np.linalg.norm(fastest))) for way in ways)
+        paths = [-0.5 * timing.approach * fastest, 0.5 * timing.push * max(scenario.velocity_scales) * after]
+    worst = min(_path_score(model, pose.q, path, float(np.linalg.norm(fastest))) for path in paths)
     return replace(pose, score=worst * max(0.0, 1.0 - _deflection(model, pose.q, motors) / MAX_DEFLECTION_RATIO))
 
 
@@ -238,31 +243,32 @@ def _deflection(model: RobotModel, q: Array, motors: Array) -> float:
     A pad that moves upwards carries a part of the object's weight, which changes the friction of the support.
     """
     linear = model.jacobian(q)[:3]
-    thrown = linear @ np.linalg.solve(model.mass_matrix(q) + np.diag(motors), linear.T @ NORMAL)
-    return float(np.linalg.norm(thrown - (thrown @ NORMAL) * NORMAL) / (thrown @ NORMAL))
+    pad_velocity = linear @ np.linalg.solve(model.mass_matrix(q) + np.diag(motors), linear.T @ NORMAL)
+    return float(np.linalg.norm(pad_velocity - (pad_velocity @ NORMAL) * NORMAL) / (pad_velocity @ NORMAL))
 
 
-def _along(model: RobotModel, start: Array, way: Array, speed: float) -> float:
-    """Smallest of all scores on a straight path of E, followed with the least joint motion."""
-    length = float(np.linalg.norm(way))
-    direction = np.append(way / length, np.zeros(3))
+def _path_score(model: RobotModel, start: Array, path: Array, speed: float) -> float:
+    """Smallest score on a straight path of E, followed with minimum-norm joint velocity."""
+    length = float(np.linalg.norm(path))
+    direction = np.append(path / length, np.zeros(3))
     target, q, worst = model.placement(start), start.copy(), 1.0
     comfortable = np.array([COMFORTABLE[joint.type] for joint in model.facts.joints])
     for travelled in np.arange(0.0, length + PATH_STEP_M, PATH_STEP_M):
         jacobian = model.jacobian(q)
         inverse = np.linalg.pinv(jacobian)
         margin = float((np.minimum(q - model.position_min, model.position_max - q) / comfortable).min())
-        regular = float(np.linalg.svd(jacobian, compute_uv=False)[5])
-        fast = float((np.abs(inverse @ direction) * speed / model.velocity_max).max())
-        loaded = float((np.abs(model.gravity_torque(q)) / model.torque_max).max())
-        shares = (margin, regular / MIN_SINGULAR_VALUE, 2.0 * (1.0 - fast), 2.0 * (1.0 - loaded))
+        singular_value = float(np.linalg.svd(jacobian, compute_uv=False)[5])
+        speed_share = float((np.abs(inverse @ direction) * speed / model.velocity_max).max())
+        torque_share = float((np.abs(model.gravity_torque(q)) / model.torque_max).max())
+        shares = (margin, singular_value / MIN_SINGULAR_VALUE, 2.0 * (1.0 - speed_share), 2.0 * (1.0 - torque_share))
         worst = min(worst, float(np.prod(np.clip(shares, 0.0, 1.0))))
         if worst == 0.0:
             break
         placement = model.placement(q)
-        wanted = target.translation + direction[:3] * (travelled + PATH_STEP_M)
+        target_position = target.translation + direction[:3] * (travelled + PATH_STEP_M)
         error = np.append(
-            wanted - placement.translation, placement.rotation @ pin.log3(placement.rotation.T @ target.rotation)
+            target_position - placement.translation,
+            placement.rotation @ pin.log3(placement.rotation.T @ target.rotation),
         )
         q = q + inverse @ error
     return worst
@@ -306,17 +312,17 @@ def scenario_text(
         mirrored = pose.position + NORMAL * bodies[0].reach(-NORMAL)
         content["object_position"] = row(mirrored[:2].round(4))
     if kind == "excite":  # a shorter way at a lower speed takes as long
-        way = content["excursion"]
+        excursion = content["excursion"]
         for key in ("start", "end"):
-            way[key] = row(speed * np.array(way[key]))
-        way["joint_1"] = rounded(speed * way["joint_1"])
+            excursion[key] = row(speed * np.array(excursion[key]))
+        excursion["joint_1"] = rounded(speed * excursion["joint_1"])
         if facts.joint_count == 6:
-            del way["joint_1"]
+            del excursion["joint_1"]
     drive = assumed_drive(facts, model.end_effector, float(content["timing"]["drive_period"]))
     content["robots"] = section(
         {
-            name: _robot(facts_name, facts, robot["end_effector"], drive, pose, mirrored if place else None)
-            for place, (name, robot) in enumerate(content["robots"].items())
+            name: _robot(facts_name, facts, robot["end_effector"], drive, pose, mirrored if index else None)
+            for index, (name, robot) in enumerate(content["robots"].items())
         }
     )
     content["cases"] = _cases(content["cases"], facts, pose, speed)
@@ -348,17 +354,17 @@ def choices_of(
 
     Args:
         facts: The robot.
-        kind: Which shipped scenario the draft is made like.
+        kind: Shipped scenario that is the template.
         model: The arm with its end effector.
         pose: Pose at the impact.
         speed: Share of the shipped scenario's speeds.
         threshold: Threshold of the detection over the shipped one.
-        search: How the pose was found, in words.
+        search: Description of the search for the pose.
     """
-    published = facts.reflected_rotor_inertia_other_source_kg_m2 is not None
+    rotor_inertia_published = facts.reflected_rotor_inertia_other_source_kg_m2 is not None
     rotor = (
         "B_rho as the robot facts state it"
-        if published
+        if rotor_inertia_published
         else f"B_rho assumed, {ROTOR_INERTIA:.4f} kg m^2 per N m of torque limit"
     )
     loop = (
@@ -369,7 +375,7 @@ def choices_of(
     revolute = np.array([joint.type == "revolute" for joint in facts.joints])
     margins = np.minimum(pose.q - model.position_min, model.position_max - pose.q)
     nearest = int(np.argmin(margins / np.where(revolute, COMFORTABLE["revolute"], COMFORTABLE["prismatic"])))
-    found = {
+    choices = {
         "end_effector": f"that of {kind}, not yours: replace mass, centre, inertia and length",
         "drive": f"{rotor}; {loop}; stiffness from the torque limits of a Franka arm, as far as the torque loop is "
         "stable; damping against the resonance of the joint: replace all four by the numbers of your robot",
@@ -387,19 +393,19 @@ def choices_of(
         ),
     }
     if kind == "excite":
-        del found["support.height"]
-    return found | {"all other keys": f"as in {kind}, word for word"}
+        del choices["support.height"]
+    return choices | {"all other keys": f"as in {kind}, word for word"}
 
 
-def _explained(text: str, choices: Mapping[str, str]) -> str:
-    """A scenario file with its choices in its head."""
-    first, rest = text.split("\n", 1)
+def _with_explanations(text: str, choices: Mapping[str, str]) -> str:
+    """A scenario file with its choices in the comment at its head."""
+    first, remaining = text.split("\n", 1)
     lines = [
         line
-        for key, why in choices.items()
-        for line in textwrap.wrap(f"{key}: {why}.", 116, initial_indent="# * ", subsequent_indent="#   ")
+        for key, reason in choices.items()
+        for line in textwrap.wrap(f"{key}: {reason}.", 116, initial_indent="# * ", subsequent_indent="#   ")
     ]
-    return "\n".join([first, *lines, rest])
+    return "\n".join([first, *lines, remaining])
 
 
 def _robot(
@@ -410,7 +416,7 @@ def _robot(
     pose: Pose,
     mirrored: Array | None,
 ) -> CommentedMap:
-    """An arm of a scenario file; a second one is rotated by 180 degrees about the middle of the object."""
+    """An arm of a scenario file; a second arm is rotated by 180 degrees about the middle of the object."""
     sign, base, yaw, position = 1.0, np.zeros(3), 0.0, pose.position
     if mirrored is not None:
         sign, yaw = -1.0, np.pi
@@ -423,7 +429,7 @@ def _robot(
         return joined_units(getattr(unit, quantity) for unit in units)
 
     rigid = "motor_inertia_reduced" not in drive
-    driven: dict[str, Any] = {"type": Noted("rigid", "no torque loop: the links carry B_rho")} if rigid else {}
+    drive_section: dict[str, Any] = {"type": Noted("rigid", "no torque loop: the links carry B_rho")} if rigid else {}
     for key, unit, symbol in (
         ("motor_inertia_rotor", "inertia", "B_rho"),
         ("motor_inertia_reduced", "inertia", "B_theta"),
@@ -431,7 +437,7 @@ def _robot(
         ("damping", "damping", "D"),
     ):
         if key in drive:
-            driven[key] = Noted(row(drive[key]), f"{of_joints(unit)}, {symbol}")
+            drive_section[key] = Noted(row(drive[key]), f"{of_joints(unit)}, {symbol}")
     return section(
         {
             "facts": scalar(facts_name),
@@ -451,7 +457,7 @@ def _robot(
                     ),
                 }
             ),
-            "drive": section({**driven, "assumed": row(assumed_numbers(facts))}),
+            "drive": section({**drive_section, "assumed": row(assumed_numbers(facts))}),
             "impact": section(
                 {
                     "position": Noted(row(position), "m"),
@@ -473,39 +479,42 @@ def _object(spec: Mapping[str, Any]) -> CommentedMap:
         "inertia": "kg m^2, about the centre of mass",
         "rpy": "rad",
     }
-    made: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for key, value in spec.items():
         if key == "corners":
-            made[key] = CommentedSeq(CommentedSeq(corner) for corner in value)
-            for one in (*made[key], made[key]):
-                one.fa.set_flow_style()
+            entries[key] = CommentedSeq(CommentedSeq(corner) for corner in value)
+            for sequence in (*entries[key], entries[key]):
+                sequence.fa.set_flow_style()
         elif key in units:
-            made[key] = Noted(row(value) if isinstance(value, list) else rounded(value), units[key])
+            entries[key] = Noted(row(value) if isinstance(value, list) else rounded(value), units[key])
         else:
-            made[key] = scalar(value)
-    return section(made)
+            entries[key] = scalar(value)
+    return section(entries)
 
 
 def _cases(cases: Mapping[str, Any], facts: RobotFacts, pose: Pose, speed: float) -> CommentedMap:
     """Cases with speeds that the arm can reach; redundant arms hold joint 1 as in the shipped cases."""
-    made: dict[str, CommentedMap] = {}
-    seen: list[dict[str, dict[str, Any]]] = []
+    sections: dict[str, CommentedMap] = {}
+    written: list[dict[str, dict[str, Any]]] = []
     first = next(iter(next(iter(cases.values()))["robots"]))
-    usual = float(next(iter(cases.values()))["robots"][first]["joint_1"])
+    joint_1_of_first_case = float(next(iter(cases.values()))["robots"][first]["joint_1"])
     for name, case in cases.items():
         # A second arm is the first one rotated, not mirrored: its joint 1 moves in the same direction.
-        joint_1 = rounded(float(pose.q[0]) + float(case["robots"][first]["joint_1"]) - usual)
-        held = {"joint_1": joint_1} if facts.joint_count > 6 else {}
+        joint_1 = rounded(float(pose.q[0]) + float(case["robots"][first]["joint_1"]) - joint_1_of_first_case)
+        posture = {"joint_1": joint_1} if facts.joint_count > 6 else {}
         arms = {
-            arm: {"ante_velocity": row((speed * np.array(wanted["ante_velocity"], dtype=float)).round(4)), **held}
-            for arm, wanted in case["robots"].items()
+            arm: {
+                "ante_velocity": row((speed * np.array(robot_case["ante_velocity"], dtype=float)).round(4)),
+                **posture,
+            }
+            for arm, robot_case in case["robots"].items()
         }
-        if arms not in seen:
+        if arms not in written:
             comment = f"m/s, {facts.units[0].position}"
-            robots = section({arm: Noted(in_one_line(own), comment) for arm, own in arms.items()})
-            made[name] = section({"label": case["label"], "robots": robots})
-            seen.append(arms)
-    return section(made)
+            robots = section({arm: Noted(in_one_line(robot_case), comment) for arm, robot_case in arms.items()})
+            sections[name] = section({"label": case["label"], "robots": robots})
+            written.append(arms)
+    return section(sections)
 
 
 def _read(text: str, facts: RobotFacts) -> Scenario:
@@ -521,7 +530,7 @@ def _read(text: str, facts: RobotFacts) -> Scenario:
 
 
 def _sets(scenario: Scenario) -> list[tuple[str, str]]:
-    """Every case with the heaviest object, and the first one with the lightest."""
+    """Every case with the heaviest object, and the first case with the lightest object."""
     by_mass = sorted(scenario.objects, key=lambda name: scenario.object(name).mass or math.inf)
     sets = [(by_mass[-1], case) for case in scenario.cases] + [(by_mass[0], next(iter(scenario.cases)))]
     return list(dict.fromkeys(sets))
@@ -537,7 +546,7 @@ def _can_be_planned(scenario: Scenario) -> bool:
     return True
 
 
-def _try(scenario: Scenario) -> None:
+def _simulate(scenario: Scenario) -> None:
     """Run the trials of :func:`_sets`.
 
     Raises:

@@ -8,22 +8,20 @@ from datetime import datetime
 
 from impact_rs_sim.errors import InputError, did_you_mean
 
-MIN_WALL_CLOCK_S = (
-    1e9  # later times count from 1970 (this is 2001), earlier ones from the start of a program or recording
-)
+MIN_WALL_CLOCK_S = 1e9  # larger times are seconds since 1970 (1e9: 2001), smaller ones since the start of a recording
 
 
 def measured_since(when: str, stamps: Mapping[str, float], timed: bool = True) -> set[str]:
     """Names of the measurements from a moment on.
 
     Args:
-        when: The first of the names, or a time: a date with or without a time of day (ISO 8601, local where it has no
-            zone), or a number of seconds as the stamps have it.
+        when: Name of the first measurement, or a time: a date with or without a time of day (ISO 8601, local without a
+            zone), or a number of seconds on the clock of the stamps.
         stamps: Times of the measurements [s], seconds since 1970 for dates, or any increasing number.
-        timed: Whether these are times; otherwise only a name is a moment.
+        timed: Whether the stamps are times; if not, ``when`` has to be a name.
 
     Raises:
-        InputError: There is no such name or time, or nothing was measured since.
+        InputError: ``when`` is neither a name nor a time, or nothing was measured since.
     """
     begin = stamps.get(when)
     if begin is None and timed:
@@ -36,11 +34,11 @@ def measured_since(when: str, stamps: Mapping[str, float], timed: bool = True) -
             key="--since",
             value=when,
         )
-    found = {name for name, stamp in stamps.items() if stamp >= begin}
-    if not found:
+    names = {name for name, stamp in stamps.items() if stamp >= begin}
+    if not names:
         last = max(stamps, key=lambda name: (stamps[name], name))
         raise InputError(f"nothing was measured since then; the last is {last!r}", key="--since", value=when)
-    return found
+    return names
 
 
 def _time(text: str) -> float | None:

@@ -21,7 +21,7 @@ class IdentifyMessages:
     Attributes:
         prediction: Prediction of the next hit, with the parameters believed.
         changes: Changes of the cell, in the order of detection.
-        diagnosis: How the last full diagnosis ended.
+        diagnosis: Result of the last full diagnosis.
         refused: Last trial without a hit, with the reason.
     """
 
@@ -36,7 +36,7 @@ class Snapshot:
     """The newest state of a graph.
 
     Attributes:
-        situation: Whether nodes and joint states are there.
+        situation: State of nodes and joint states.
         place: ROS domain and namespace, as text.
         number: Increases when the scene changes; the scene of an unchanged number is the same.
         title: Name of the trial; empty: unknown.
@@ -47,7 +47,7 @@ class Snapshot:
         positions: Joint positions by their names in the URDF [rad, m].
         velocities: Joint velocities by the same names [rad/s, m/s]; empty if not published.
         object: Position of the object's centre in A [m] and quaternion x y z w, ``(7,)``; None: unknown.
-        neighbours: Likewise its neighbours by name.
+        neighbours: Poses of the object's neighbours by name, ``(7,)``; None: unknown.
         forces: By arm, true force of the arm on the object, axes of A, ``(3,)`` [N]; empty if not published.
         followed: Documents of the node ``identify`` of the graph.
     """

@@ -6,8 +6,8 @@
     + scale, motor_inertia -> TrialPlan    impact map and references
 
 Each arrow is a pure function, whose results a process caches: repeats share their plan, velocity scales their scene.
-The cache key is the content of the scenario and not its name, because its file, or one that it names, may be edited.
-Each raises :class:`InputError` where the text is no scenario, an object or case is missing, or a pose is out of reach.
+The cache key is the content of the scenario and not its name, because the file, or a file that it names, may be edited.
+Each raises :class:`InputError` if the text is no scenario, an object or case is missing, or a pose is out of reach.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import RECORDED, validate
 
-MAX_KEPT_PLANS = 64  # in the memory of a process, about 0.7 MB for each arm; a campaign of the paper has 18 sets
+MAX_CACHED_PLANS = 64  # in the memory of a process, about 0.7 MB for each arm; a campaign of the paper has 18 sets
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,14 @@ class TrialSpec:
 
 
 def recorded_scenario(text: str, file: str | Path) -> Scenario:
-    """The scenario that a bag carries; ``file`` only names the place in errors."""
+    """The scenario recorded in a bag; ``file`` is for error messages."""
     try:
         return _scenario(text)
     except InputError as error:
         raise error.in_file(file) from None
 
 
-@functools.lru_cache(maxsize=MAX_KEPT_PLANS)
+@functools.lru_cache(maxsize=MAX_CACHED_PLANS)
 def _scenario(text: str) -> Scenario:
     try:
         data = json.loads(text)
@@ -85,11 +85,11 @@ def _scenario(text: str) -> Scenario:
     return validate(Scenario, data, "recorded scenario", RECORDED)
 
 
-@functools.lru_cache(maxsize=MAX_KEPT_PLANS)
+@functools.lru_cache(maxsize=MAX_CACHED_PLANS)
 def _scene(scenario_json: str, object_name: str, case: str) -> Scene:
     return Scene.resolve(_scenario(scenario_json), object_name, case)
 
 
-@functools.lru_cache(maxsize=MAX_KEPT_PLANS)
+@functools.lru_cache(maxsize=MAX_CACHED_PLANS)
 def _plan(spec: TrialSpec) -> TrialPlan:
     return plan_trial(spec.scene, spec.scale, spec.motor_inertia)

@@ -51,50 +51,50 @@ def is_bag(folder: Path) -> bool:
 def trials_in(folder: Path) -> list[Path]:
     """Trials directly in a campaign, also damaged ones: folders with files of a bag or without any, bare files.
 
-    Hidden ones are half-written, and a link to one of the others is no further trial.
+    Hidden folders are half-written trials and left out; a link to another trial of the folder is no further trial.
     """
-    found = []
+    trials = []
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or (path.is_symlink() and path.resolve().parent == folder.resolve()):
             continue
         if path.is_dir():
             names = [entry.name for entry in path.iterdir()]
             if not names or any(map(_is_of_bag, names)):
-                found.append(path)
+                trials.append(path)
         elif path.suffix in BAG_FILES:
-            found.append(path)
-    return found
+            trials.append(path)
+    return trials
 
 
 def trials_below(folder: Path) -> list[Path]:
     """Trials at any depth below a folder, also damaged ones: folders with files of a bag.
 
-    Hidden ones are half-written. Trials with a varied setting are left out: they are no repeats of those they are
-    compared with.
+    Hidden folders are half-written trials and left out. Trials with a varied setting are left out, too: they are no
+    repeats of the trials with which they are compared.
 
     Raises:
-        InputError: There is no such folder.
+        InputError: The folder does not exist.
     """
-    found = Folder(folder)
+    store = Folder(folder)
     return sorted(
-        folder / name for name in found.stamps() if not Path(found.path.name, name).match(f"{SENSITIVITY}/*_x*/*")
+        folder / name for name in store.stamps() if not Path(store.path.name, name).match(f"{SENSITIVITY}/*_x*/*")
     )
 
 
 def folders_below(folder: Path) -> Iterator[tuple[Path, list[str]]]:
-    """A folder and all folders below it with the names of their files, linked ones last; each once, no hidden ones."""
+    """A folder and all folders below it, without hidden ones, with the names of their files; linked folders last."""
     waiting, visited = [folder], set()
     while waiting:
         for path, folders, files in os.walk(waiting.pop(0)):
-            fact = os.stat(path)
+            status = os.stat(path)
             folders[:] = sorted(name for name in folders if not name.startswith("."))
-            if (fact.st_dev, fact.st_ino) in visited:
+            if (status.st_dev, status.st_ino) in visited:
                 folders.clear()
                 continue
-            visited.add((fact.st_dev, fact.st_ino))
-            here = Path(path)
-            waiting += [here / name for name in folders if (here / name).is_symlink()]
-            yield here, files
+            visited.add((status.st_dev, status.st_ino))
+            folder_path = Path(path)
+            waiting += [folder_path / name for name in folders if (folder_path / name).is_symlink()]
+            yield folder_path, files
 
 
 def _is_of_bag(name: str) -> bool:
@@ -103,7 +103,7 @@ def _is_of_bag(name: str) -> bool:
 
 
 def _stamp(facts: Iterable[tuple[object, ...]]) -> int:
-    """A number of 64 bits for facts of files, in whatever order they come."""
+    """A hash of 64 bits of facts about files, independent of their order."""
     return int.from_bytes(hashlib.blake2b(repr(sorted(facts)).encode(), digest_size=8).digest())
 
 
@@ -112,11 +112,11 @@ class Store(ABC):
 
     @abstractmethod
     def __str__(self) -> str:
-        """The place in words of the user."""
+        """Path or URL of the place."""
 
     @abstractmethod
     def exists(self, name: str) -> bool:
-        """Whether a file or a complete bag of that name is there."""
+        """Whether a file or a complete bag of that name exists."""
 
     @abstractmethod
     def names(self) -> set[str]:
@@ -124,9 +124,9 @@ class Store(ABC):
 
     @abstractmethod
     def stamps(self) -> dict[str, int]:
-        """Bags at any depth, by their path below the place, each with a number that changes when it is written again.
+        """A number for every bag at any depth, by its path below the place; it changes if the bag is written again.
 
-        Hidden ones are left out. No file is opened.
+        Hidden bags are left out. No file is opened.
         """
 
     @abstractmethod
@@ -143,18 +143,18 @@ class Store(ABC):
 
     @abstractmethod
     def adding(self, name: str) -> AbstractContextManager[Path]:
-        """A context manager with the folder to make the bag ``name`` in; it is kept where the context ends well."""
+        """A context manager with a folder in which to make the bag ``name``; the bag is stored if no error occurs."""
 
     @abstractmethod
     def getting(self, name: str) -> AbstractContextManager[Path]:
-        """A context manager with the folder that the bag ``name`` can be read in."""
+        """A context manager with a folder that has the bag ``name``."""
 
 
 class Folder(Store):
-    """A folder of this machine, or one that all machines see under the same path.
+    """A folder of this machine, or a shared folder that has the same path on all machines.
 
     Args:
-        path: Its path.
+        path: Path of the folder.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -175,15 +175,15 @@ class Folder(Store):
         """Fingerprints of all bags, also damaged ones, from sizes and times of their files."""
         if not self.path.is_dir():
             raise InputError("no such file or folder" if self.path.suffix else "no such folder", file=self.path)
-        found = {}
+        stamps = {}
         for folder, files in folders_below(self.path):
             if any(map(_is_of_bag, files)):
                 with suppress(FileNotFoundError):  # it was removed since
                     facts = [(name, (folder / name).stat()) for name in files]
-                    found[os.path.relpath(folder, self.path)] = _stamp(
-                        (name, fact.st_size, fact.st_mtime_ns) for name, fact in facts
+                    stamps[os.path.relpath(folder, self.path)] = _stamp(
+                        (name, status.st_size, status.st_mtime_ns) for name, status in facts
                     )
-        return found
+        return stamps
 
     def read(self, name: str) -> str:
         """Text of a file."""
@@ -224,9 +224,9 @@ class Remote(Store):
     """A place that fsspec reaches by its URL.
 
     Args:
-        url: Its URL, for example ``s3://bucket/push``.
-        files: The file system it is on.
-        root: Its path there.
+        url: URL, for example ``s3://bucket/push``.
+        files: File system of fsspec.
+        root: Path of the place in that file system.
     """
 
     def __init__(self, url: str, files: AbstractFileSystem, root: str) -> None:
@@ -330,8 +330,8 @@ def open_store(place: str | Path | Store) -> Store:
         return place
     if not is_url(place):
         return Folder(place)
-    protocol, _, rest = str(place).partition("://")
-    return Folder(rest) if protocol in ("file", "local") else Remote.at(str(place))
+    protocol, _, path = str(place).partition("://")
+    return Folder(path) if protocol in ("file", "local") else Remote.at(str(place))
 
 
 @contextmanager
@@ -367,20 +367,20 @@ def local_copy(
 
 
 @contextmanager
-def owned(store: Store, what: str = "campaign") -> Iterator[None]:
+def owned(store: Store, contents: str = "campaign") -> Iterator[None]:
     """Keep other processes from a folder; the lock ends with this process, however it ends.
 
-    A URL cannot be locked: two campaigns that run on one waste work, and each bag is one trial all the same.
+    A URL cannot be locked: two campaigns on one URL waste work, but every bag is still one whole trial.
 
     Args:
         store: The folder.
-        what: Its contents, for the error.
+        contents: Contents of the folder in words, for the error.
     """
     if not isinstance(store, Folder):
         yield
         return
     path = store.path / LOCK
-    with _locked(path, what) as file:
+    with _locked(path, contents) as file:
         file.truncate(0)
         file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
         file.flush()
@@ -390,7 +390,7 @@ def owned(store: Store, what: str = "campaign") -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
-def _locked(path: Path, what: str) -> TextIO:
+def _locked(path: Path, contents: str) -> TextIO:
     """An open file with an exclusive lock, released when the file is closed."""
     while True:
         try:
@@ -404,7 +404,7 @@ def _locked(path: Path, what: str) -> TextIO:
             file.seek(0)
             owner = file.read().strip() or "another process"
             file.close()
-            raise InputError(f"{owner} works on this {what}; wait for it, or stop it", file=path.parent) from None
+            raise InputError(f"{owner} works on this {contents}; wait for it, or stop it", file=path.parent) from None
         if os.fstat(file.fileno()).st_nlink:
             return file
         file.close()  # its owner removed it between our two calls

@@ -37,20 +37,20 @@ class Setting:
     factors: tuple[float, float] = (0.5, 2.0)
 
     def varied(self, scenario: dict[str, Any], factor: float) -> dict[str, float]:
-        """Its keys in a scenario with their values times a factor; empty if the scenario does not use it."""
-        found: dict[str, float] = {}
+        """Values of the setting times a factor, by dotted key; empty if the scenario does not use the setting."""
+        values: dict[str, float] = {}
         for key in self.keys:
-            for name in scenario["robots"] if "*" in key else ("",):
-                full, value = key.replace("*", name), scenario
-                for part in full.split("."):
+            for arm in scenario["robots"] if "*" in key else ("",):
+                full_key, value = key.replace("*", arm), scenario
+                for part in full_key.split("."):
                     value = value[part]
                 if value:
-                    found[full] = factor * float(value)  # type: ignore[arg-type]
-        return found
+                    values[full_key] = factor * float(value)  # type: ignore[arg-type]
+        return values
 
 
 SETTINGS = (
-    # Twice the force of grab, 120 N, takes joint 6 of a Franka to its 12 N m, and then no feedback is a measure.
+    # Twice the clamping force of grab (120 N) takes joint 6 of a Franka to its limit of 12 N m: feedback saturates.
     Setting("clamp_force", "clamping force", ("control.clamp_force",), (0.5, 1.5)),
     Setting("interim_duration", "length of the interim mode", ("control.interim_duration",)),
     Setting(
@@ -82,22 +82,22 @@ def sensitivity_manifests(manifest: Manifest) -> dict[tuple[str, float], Manifes
 
 
 def folder_name(setting: str, factor: float) -> str:
-    """Folder of a varied campaign inside the campaign that it is held against."""
+    """Folder of a varied campaign inside the campaign with which it is compared."""
     return f"{SENSITIVITY}/{setting}_x{factor:g}"
 
 
 def varied_folders(directory: Path) -> dict[tuple[str, float], str]:
     """Paths of the varied campaigns in the folder of a campaign, by setting and factor."""
-    found = {}
+    folders = {}
     for path in sorted((directory / SENSITIVITY).glob("*_x*")):
         setting, _, factor = path.name.rpartition("_x")
         with suppress(ValueError):
-            found[setting, float(factor)] = f"{SENSITIVITY}/{path.name}"
-    return found
+            folders[setting, float(factor)] = f"{SENSITIVITY}/{path.name}"
+    return folders
 
 
 def with_sensitivity(campaign: Folder, manifest: Manifest) -> dict[Store, Manifest]:
-    """A campaign, and inside its folder those with one setting varied.
+    """A campaign, and the campaigns inside its folder with one setting varied.
 
     Raises:
         InputError: There is no such scenario.

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 Map = Callable[[Callable[..., Any], Sequence[Any]], Iterator[Any]]
 Task = TypeVar("Task", bound=Callable[..., Any])
 
-MEMORY_LIMIT = "1GiB"  # of a worker process here; measured: 0.2 GiB after five trials
+MEMORY_LIMIT = "1GiB"  # of a local worker process; measured: 0.2 GiB after five trials
 ANSWER_TIMEOUT_S = 10.0  # of a scheduler
-WORKERS_TIMEOUT_S = 30.0  # until the first worker of a scheduler is there
+WORKERS_TIMEOUT_S = 30.0  # until a scheduler has its first worker
 MAX_PENDING_TASKS = 1000  # of the scheduler, so that its memory does not grow with a campaign
 
 _on_threads: set[Callable[..., Any]] = set()
@@ -40,13 +40,13 @@ _one_trial_at_a_time = threading.Lock()  # trials of one process share models, w
 
 
 @dataclass
-class _Spent:
-    """Processor time of the tasks that workers have ended [s]."""
+class _ProcessorTime:
+    """Processor time of the finished tasks of workers [s]."""
 
     seconds: float = 0.0
 
 
-_of_workers = _Spent()
+_worker_time = _ProcessorTime()
 
 
 class SchedulerLost(RuntimeError):
@@ -78,16 +78,16 @@ class Workforce:
         return self.jobs == 1 and self.scheduler is None
 
     def at_most(self, tasks: int) -> Workforce:
-        """The same with no more processes of this machine than there are tasks."""
+        """The workforce with at most as many processes of this machine as there are tasks."""
         return Workforce(max(1, min(self.jobs, tasks)), self.scheduler)
 
 
 @contextmanager
 def client_of(workforce: Workforce) -> Iterator[Client]:
-    """A client of the workforce's scheduler; a cluster of this machine is gone when the context is left.
+    """A client of the workforce's scheduler; a cluster of this machine ends with the context.
 
     Raises:
-        InputError: No scheduler answers at that address, or its workers cannot do our work.
+        InputError: No scheduler answers at that address, or its workers cannot run the tasks.
     """
     from distributed.utils import silence_logging_cmgr
 
@@ -148,10 +148,10 @@ async def _answers(address: str) -> None:
 
 
 def _check_workers(client: Client, address: str) -> None:
-    """There are workers, each with one thread and with this version of the package.
+    """Check that a scheduler has workers, each with one thread and with this version of the package.
 
     Raises:
-        InputError: It is not so.
+        InputError: It has no such workers.
     """
     try:
         client.wait_for_workers(1, timeout=WORKERS_TIMEOUT_S)
@@ -183,8 +183,8 @@ def on_threads(function: Task) -> Task:
 def workers(workforce: Workforce) -> Iterator[Map]:
     """A ``map`` over the workforce that yields results in order.
 
-    Processes of this machine are started at the first call with two or more tasks, because that takes some seconds and
-    errors found before are then reported at once. A scheduler is connected immediately.
+    Processes of this machine are started at the first call with two or more tasks: starting takes some seconds, and
+    earlier errors are reported without that delay. A scheduler is connected immediately.
 
     Raises:
         InputError: No scheduler answers at that address, or its workers cannot run the tasks.
@@ -192,8 +192,8 @@ def workers(workforce: Workforce) -> Iterator[Map]:
     if workforce.in_process:
         yield lambda function, items: map(function, items)
         return
-    with ExitStack() as held:
-        clients = [] if workforce.scheduler is None else [held.enter_context(client_of(workforce))]
+    with ExitStack() as stack:
+        clients = [] if workforce.scheduler is None else [stack.enter_context(client_of(workforce))]
 
         def distributed_map(function: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
             if workforce.scheduler is None and function in _on_threads:
@@ -204,7 +204,7 @@ def workers(workforce: Workforce) -> Iterator[Map]:
                 if len(items) < 2:
                     yield from map(function, items)
                     return
-                clients.append(held.enter_context(client_of(workforce)))
+                clients.append(stack.enter_context(client_of(workforce)))
             client = clients[0]
             with warnings.catch_warnings():  # a task has all that it needs with it, so that any worker can run it again
                 warnings.filterwarnings("ignore", "Sending large graph")
@@ -226,7 +226,7 @@ def as_they_end(client: Client, function: Callable[..., Any], items: Iterable[An
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
 
-    left = iter(items)
+    remaining = iter(items)
     pending: dict[Any, Any] = {}
 
     def submit(item: Any) -> Any:
@@ -234,15 +234,15 @@ def as_they_end(client: Client, function: Callable[..., Any], items: Iterable[An
         pending[future.key] = item
         return future
 
-    ended = as_completed([submit(item) for item in islice(left, MAX_PENDING_TASKS)], loop=client.loop)
-    for future in ended:
+    completed = as_completed([submit(item) for item in islice(remaining, MAX_PENDING_TASKS)], loop=client.loop)
+    for future in completed:
         item = pending.pop(future.key)
         try:
             result = _result(client, future)
         except KilledWorker as error:
             result = error
-        for following in islice(left, 1):
-            ended.add(submit(following))
+        for item_to_submit in islice(remaining, 1):
+            completed.add(submit(item_to_submit))
         yield item, result
 
 
@@ -255,7 +255,7 @@ def _packed(function: Callable[..., Any], item: Any) -> bytes:
 
 def processor_time() -> float:
     """Processor time of this process, and of the tasks that its workers have ended [s]."""
-    return time.process_time() + _of_workers.seconds
+    return time.process_time() + _worker_time.seconds
 
 
 def _work(packed: bytes) -> tuple[Any, float]:
@@ -280,5 +280,5 @@ def _result(client: Client, future: Any) -> Any:
     except FutureCancelledError:
         address = client.scheduler.address if client.scheduler else "its address"
         raise SchedulerLost(f"the dask scheduler at {address} went away") from None
-    _of_workers.seconds += seconds
+    _worker_time.seconds += seconds
     return result

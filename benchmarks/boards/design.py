@@ -144,7 +144,7 @@ def run(entry: Entry, work: Work) -> Row:
     folder, map_tasks = work.folder, work.map_tasks
     runs = {"few" if entry.kind == "tie" else "fixed": folder / RUNS}
     if entry.kind == "tie":
-        Secret.drawn(entry.seed, "single", entry.effect, entry.magnitude).keep(folder)
+        Secret.drawn(entry.seed, "single", entry.effect, entry.magnitude).write(folder)
         record(FEW.model_copy(update={"seed": entry.seed}), folder / RUNS, work)
     else:
         recording_options = (map_tasks, entry.kind, entry.effect, "small", entry.magnitude, recorder(work.options.on))

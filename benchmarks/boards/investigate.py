@@ -81,7 +81,7 @@ def run(entry: Entry, work: Work) -> Row:
     secret = secret_of(settings)
     secret.check(directory)
     begin(directory, settings)
-    secret.keep(directory)
+    secret.write(directory)
     spent = time.process_time()
     bench = SharedFirstPlan(
         directory, settings, work.map_tasks, Terminal(as_json=True), secret, recorder(work.options.on)

@@ -31,7 +31,7 @@ from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import BodyState, Scene
-from impact_rs_trials.blind import RUNS, TRUTH, Hidden, draw_truth, hide, named
+from impact_rs_trials.blind import RUNS, TRUTH, Hidden, draw_truth, hide, named_values
 from impact_rs_trials.workers import Map
 from tools.discrepancy import oblique
 
@@ -224,6 +224,6 @@ def make(entry: Entry, directory: Path, map_tasks: Map) -> None:
     (folder / "experiment.yaml").write_text(EXPERIMENT)
     (robot,) = load_scenario("push").robots.values()
     joints = robot.robot_facts.joint_types
-    effects = [{"name": item.name, "parameters": named(item, joints)} for item in hidden_in(entry)]
+    effects = [{"name": item.name, "parameters": named_values(item, joints)} for item in hidden_in(entry)]
     outside = entry.effect if entry.kind == "outside" else None
     (directory / TRUTH).write_text(json.dumps({"kind": entry.kind, "outside": outside, "effects": effects}) + "\n")

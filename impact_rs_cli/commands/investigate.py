@@ -40,7 +40,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         secret.check(directory)
         settings = begin(directory, settings)
         if settings.blind is not None:
-            secret.keep(directory)
+            secret.write(directory)
         bench = bench_of(args, settings, secret, map_tasks, terminal)
 
         def show() -> None:

@@ -6,8 +6,8 @@ numbers do. The bytes of such a topic are a table with one row per message, and 
 a time. The layout is found by walking one serialized message along its type definition (OMG XCDR1, little endian: a
 value is aligned to its own size, counted from behind the four bytes of the encapsulation header).
 
-Where messages differ in layout, both directions fall back on ``rosbags``, message by message, and so does every topic
-whose first, middle or last message ``rosbags`` would read, or first or last message write, differently.
+If messages differ in layout, both directions fall back on ``rosbags``, message by message. The same fallback is taken
+if ``rosbags`` reads the first, middle or last message, or writes the first or last message, differently.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _FORMATS = {
 
 
 class _NoColumnsError(Exception):
-    """The type holds something that has no place in a table, an array of messages for example."""
+    """The type holds something that is no column of a table, for example an array of messages."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class _RowLayout:
     Attributes:
         numbers: Field path, NumPy format, shape and byte offset of all numbers that may change.
         constant: Field paths of strings, lists of strings and empty lists of messages.
-        fixed: Byte ranges that are the same in all messages: byte order, lengths and strings.
+        fixed: Byte ranges that are equal in all messages: byte order, lengths and strings.
     """
 
     numbers: tuple[tuple[str, str, tuple[int, ...], int], ...]
@@ -86,7 +86,7 @@ class _Walker:
     def __init__(self, store: Typestore, data: bytes | memoryview) -> None:
         self._store = store
         self._data = data
-        self._at = ENCAPSULATION_BYTES
+        self._offset = ENCAPSULATION_BYTES
         self._numbers: list[tuple[str, str, tuple[int, ...], int]] = []
         self._constant: list[str] = []
         self._fixed: list[tuple[int, int]] = [(0, len(LITTLE_ENDIAN))]
@@ -94,7 +94,7 @@ class _Walker:
     def layout(self, kind: str) -> _RowLayout:
         """Layout of a message of type ``kind``."""
         self._message(kind, "")
-        if self._at > len(self._data):
+        if self._offset > len(self._data):
             raise _NoColumnsError
         return _RowLayout(tuple(self._numbers), tuple(self._constant), tuple(self._fixed))
 
@@ -119,25 +119,25 @@ class _Walker:
         if base in ("string", "wstring"):
             for _ in range(shape[0] if shape else 1):
                 length = self._length()
-                self._fixed.append((self._at, self._at + length))
-                self._at += length
+                self._fixed.append((self._offset, self._offset + length))
+                self._offset += length
             self._constant.append(path)
             return
         kind = "<" + _FORMATS[base]
         size = np.dtype(kind).itemsize
-        if shape != (0,):  # nothing is aligned for nothing
+        if shape != (0,):  # an empty array is not aligned
             self._align(size)
-        self._numbers.append((path, kind, shape, self._at))
-        self._at += size * (shape[0] if shape else 1)
+        self._numbers.append((path, kind, shape, self._offset))
+        self._offset += size * (shape[0] if shape else 1)
 
     def _align(self, size: int) -> None:
-        self._at += -(self._at - ENCAPSULATION_BYTES) % size
+        self._offset += -(self._offset - ENCAPSULATION_BYTES) % size
 
     def _length(self) -> int:
         self._align(4)
-        self._fixed.append((self._at, self._at + 4))
-        self._at += 4
-        return int.from_bytes(self._data[self._at - 4 : self._at], "little")
+        self._fixed.append((self._offset, self._offset + 4))
+        self._offset += 4
+        return int.from_bytes(self._data[self._offset - 4 : self._offset], "little")
 
 
 class Template:
@@ -242,7 +242,7 @@ def decode(store: Typestore, kind: str, rows: Sequence[bytes | memoryview]) -> d
 
 
 def stacked(store: Typestore, kind: str, rows: Sequence[bytes | memoryview]) -> Any | None:
-    """Messages of one layout as one: the first, with columns ``(k,)`` or ``(k, n)`` in place of its numbers.
+    """One message for many of one layout: the first, with columns ``(k,)`` or ``(k, n)`` in place of its numbers.
 
     Args:
         store: Type definitions.

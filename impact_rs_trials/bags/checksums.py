@@ -37,7 +37,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD_BYTES = 9  # before the content of a record: kind (1) and size (8)
 CHUNK_CHECKSUM_OFFSET_BYTES = 24  # in the content of a chunk
 MESSAGE_OPCODE = 0x05  # of a record with a message (MCAP specification)
-_SAID = f"{NAME}: {KIND}\n".encode()
+_DECLARATION = f"{NAME}: {KIND}\n".encode()
 _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 _DATA_END, _FOOTER = b"\x0f" + _U64.pack(4), b"\x02" + _U64.pack(20)  # heads of these records
 
@@ -53,8 +53,8 @@ def seal(path: Path) -> None:
         OSError: It cannot be written.
     """
     with path.open("r+b") as file:
-        for place, value in _checksums(file.read()):
-            file.seek(place)
+        for offset, value in _checksums(file.read()):
+            file.seek(offset)
             file.write(_U32.pack(value))
 
 
@@ -70,22 +70,22 @@ def check(bag: Path) -> bool:
         bag: Its folder.
 
     Returns:
-        False where it has no checksums of ours; those that it does have are checked.
+        False if the bag has no checksums of ours; other checksums are checked, too.
 
     Raises:
         ChecksumError: A checksum is wrong, or is missing in a bag that was sealed.
         OSError: It cannot be read.
     """
     metadata = (bag / BAG_METADATA).read_bytes()
-    sealed = _SAID in metadata
+    sealed = _DECLARATION in metadata
     for path in sorted(bag.glob("*.mcap")):
         data = path.read_bytes()
-        sealed = sealed or _SAID in data  # metadata lie in the file as they are, whatever becomes of their own file
+        sealed = sealed or _DECLARATION in data  # the MCAP file has a copy of the metadata, uncompressed
         try:
-            for place, value in _checksums(data):
-                (found,) = _U32.unpack_from(data, place)
-                if found != value and (sealed or found):
-                    raise ChecksumError(f"damaged: its checksum is {found:08x}, its contents have {value:08x}")
+            for offset, value in _checksums(data):
+                (stored,) = _U32.unpack_from(data, offset)
+                if stored != value and (sealed or stored):
+                    raise ChecksumError(f"damaged: its checksum is {stored:08x}, its contents have {value:08x}")
         except (struct.error, ValueError):
             raise ChecksumError(f"{path.name} is cut off or damaged") from None
         if sealed and not _holds(data, metadata):
@@ -94,9 +94,9 @@ def check(bag: Path) -> bool:
 
 
 def declares_checksums(bag: Path) -> bool:
-    """Whether the metadata of a bag say that it was sealed; nothing is checked."""
+    """Whether the metadata of a bag declare checksums; nothing is checked."""
     try:
-        return _SAID in (bag / BAG_METADATA).read_bytes()
+        return _DECLARATION in (bag / BAG_METADATA).read_bytes()
     except OSError:
         return False
 
@@ -114,7 +114,7 @@ def unsealed_words(count: int) -> str:
 def whole_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
     """Topic, time [ns] and bytes of each message of an MCAP file that was perhaps never closed.
 
-    They end with the first chunk that is not all there, or whose checksum is not its own.
+    They end before the first chunk that is incomplete or has a wrong checksum.
 
     Raises:
         OSError: The file cannot be read.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """``/tf``, ``/tf_static`` and ``/clock`` for the bag, computed from measured signals.
 
-They follow from measured joint positions and the pose of the object, so the recorder computes from the recorded
-messages what the plant publishes. It does not record them because several graphs share the first two, no node can
-publish those where ``tf2_msgs`` is not installed (it is not on PyPI), and a user's own plant need not publish any.
+They follow from measured joint positions and the pose of the object, so the recorder computes them from the recorded
+messages. It does not record the published ones because several graphs share ``/tf`` and ``/tf_static``, no node can
+publish transforms without ``tf2_msgs`` (not on PyPI), and a user's own plant need not publish any of the three.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ class DerivedMessages:
         self._frames = FrameSource(plan.scene)
         self._sources = {topics.joint_states(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names, ("position",)) for arm, names in self._maker.joints.items()}
-        self._known: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not written yet
+        self._positions: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not written yet
         bodies = plan.scene.physics.bodies
-        self._seen: dict[str, list[tuple[int, bytes]]] = {  # when [ns], and poses, of those that are tracked
+        self._poses: dict[str, list[tuple[int, bytes]]] = {  # times [ns] and messages of tracked bodies
             name: [] for name in bodies if tracked is None or name in tracked
         }
-        self._body_of = {topics.pose(name): name for name in self._seen}
-        self._unseen = set(bodies) - set(self._seen)
+        self._body_of = {topics.pose(name): name for name in self._poses}
+        self._untracked = set(bodies) - set(self._poses)
 
     def begin(self, origin_ns: int) -> None:
-        """Tick 0 has this stamp [ns]."""
+        """Set the stamp of tick 0 [ns]."""
         self._maker.origin_ns = origin_ns
 
     def static(self) -> bytes:
@@ -61,44 +61,44 @@ class DerivedMessages:
         tick waits for a pose of the same or a later time.
         """
         if topic in self._body_of:
-            self._seen[self._body_of[topic]].append((nanoseconds, data))
+            self._poses[self._body_of[topic]].append((nanoseconds, data))
         elif topic in self._sources and self._frames.due(tick := nanoseconds // self._period_ns):
             arm = self._sources[topic]
             if (signals := self._readers[arm].read(data)).complaint:
                 return
-            self._known.setdefault(tick, {})[arm] = signals.values[0]
+            self._positions.setdefault(tick, {})[arm] = signals.values[0]
         else:
             return
-        last = min((own[-1][0] if own else -1 for own in self._seen.values()), default=-1)
-        yield from self._known_until(last // self._period_ns)
+        last = min((poses[-1][0] if poses else -1 for poses in self._poses.values()), default=-1)
+        yield from self._messages_until(last // self._period_ns)
 
-    def rest(self) -> Iterator[tuple[str, int, bytes]]:
+    def remaining(self) -> Iterator[tuple[str, int, bytes]]:
         """Messages of the ticks that still wait for a pose of an object at the end of a trial."""
-        self._unseen |= {name for name, own in self._seen.items() if not own}
-        self._seen = {name: own for name, own in self._seen.items() if own}
-        yield from self._known_until(max(self._known, default=0))
+        self._untracked |= {name for name, poses in self._poses.items() if not poses}
+        self._poses = {name: poses for name, poses in self._poses.items() if poses}
+        yield from self._messages_until(max(self._positions, default=0))
 
-    def _known_until(self, last: int) -> Iterator[tuple[str, int, bytes]]:
-        """Messages of the ticks with states of all arms, and a pose of every tracked object, up to a tick."""
-        for tick in sorted(self._known):
-            if self._seen and tick > last:
+    def _messages_until(self, last: int) -> Iterator[tuple[str, int, bytes]]:
+        """Messages up to a tick, of the ticks with states of all arms and a pose of every tracked object."""
+        for tick in sorted(self._positions):
+            if self._poses and tick > last:
                 return
-            if len(self._known[tick]) < len(self._sources):
+            if len(self._positions[tick]) < len(self._sources):
                 continue
             time = self._maker.nanoseconds(tick)
-            frames = self._frames.at(self._known.pop(tick), self._seen_at(time))
-            shown = [one for one in frames if one.name not in self._unseen]
+            frames = self._frames.at(self._positions.pop(tick), self._poses_at(time))
+            shown = [frame for frame in frames if frame.name not in self._untracked]
             transforms = self._maker.transforms(tick, shown)
             yield topics.TF, time, bytes(self._store.serialize_cdr(transforms, topics.TF_MESSAGE))
             yield topics.CLOCK, time, bytes(self._store.serialize_cdr(self._maker.clock(tick), topics.CLOCK_TYPE))
 
-    def _seen_at(self, time: int) -> dict[str, tuple[Array, Array]]:
-        """Last position and quaternion of the bodies that were seen, at a time [ns] (zero-order hold)."""
-        found = {}
-        for name, seen in self._seen.items():
-            if (row := bisect_right(seen, time, key=lambda one: one[0])) == 0:
+    def _poses_at(self, time: int) -> dict[str, tuple[Array, Array]]:
+        """Last position and quaternion of every tracked body at a time [ns] (zero-order hold)."""
+        poses = {}
+        for name, messages in self._poses.items():
+            if (row := bisect_right(messages, time, key=lambda message: message[0])) == 0:
                 continue
-            pose = self._store.deserialize_cdr(seen[row - 1][1], topics.POSE).pose  # type: ignore[attr-defined]
+            pose = self._store.deserialize_cdr(messages[row - 1][1], topics.POSE).pose  # type: ignore[attr-defined]
             values = pose_values(pose)
-            found[name] = values[:3], values[3:]
-        return found
+            poses[name] = values[:3], values[3:]
+        return poses

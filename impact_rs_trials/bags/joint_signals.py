@@ -24,7 +24,7 @@ class JointSignals:
         stamp: Time of the signals [ns].
         names: Serialized names of the joints, with the encapsulation header before them.
         values: Position, velocity and effort, ``(n,)`` or ``(0,)`` each.
-        complaint: Why the signals cannot be used, in one line; empty: they can.
+        complaint: Reason why the signals cannot be used, in one line; empty: they can.
     """
 
     stamp: int
@@ -50,8 +50,8 @@ def joint_signals(data: bytes) -> JointSignals:
     try:
         return _decoded(data)
     except (ValueError, struct.error):  # a length points past the end, or is out of bounds
-        none = np.empty(0)
-        return JointSignals(0, b"", (none, none, none), f"joint signals cannot be read ({len(data)} bytes)")
+        empty = np.empty(0)
+        return JointSignals(0, b"", (empty, empty, empty), f"joint signals cannot be read ({len(data)} bytes)")
 
 
 def _decoded(data: bytes) -> JointSignals:
@@ -61,28 +61,28 @@ def _decoded(data: bytes) -> JointSignals:
     order = "<" if data[1] else ">"
     integer = struct.Struct(order + "I").unpack_from
     seconds, nanoseconds, length = struct.unpack_from(order + "iII", data, 4)
-    at = 16 + length
-    at += -at % 4
-    first = at
-    (names,) = integer(data, at)
-    at += 4
+    offset = 16 + length
+    offset += -offset % 4
+    first = offset
+    (names,) = integer(data, offset)
+    offset += 4
     if names > MAX_JOINTS:
         raise ValueError("too many joints")
     for _ in range(names):
-        at += -at % 4
-        at += 4 + integer(data, at)[0]
-    last = at
+        offset += -offset % 4
+        offset += 4 + integer(data, offset)[0]
+    last = offset
     if last > len(data) or last - first > MAX_NAME_BYTES:
         raise ValueError("names without end")
     values = []
     for _ in range(3):
-        at += -at % 4
-        (count,) = integer(data, at)
-        at += 4
+        offset += -offset % 4
+        (count,) = integer(data, offset)
+        offset += 4
         if count:
-            at += -(at - 4) % 8
-        values.append(np.frombuffer(data, order + "f8", count, at).astype(np.float64))
-        at += 8 * count
+            offset += -(offset - 4) % 8
+        values.append(np.frombuffer(data, order + "f8", count, offset).astype(np.float64))
+        offset += 8 * count
     stamp = seconds * 1_000_000_000 + nanoseconds
     return JointSignals(stamp, data[:4] + data[first:last], (values[0], values[1], values[2]))
 
@@ -93,14 +93,14 @@ def names_of(signals: JointSignals) -> list[str]:
     if not data:
         return []
     integer = struct.Struct(("<" if data[1] else ">") + "I").unpack_from
-    (count,), at = integer(data, 4), 8
-    found = []
+    (count,), offset = integer(data, 4), 8
+    names = []
     for _ in range(count):
-        at += -at % 4
-        (length,) = integer(data, at)
-        found.append(data[at + 4 : at + 4 + length].rstrip(b"\0").decode(errors="replace"))
-        at += 4 + length
-    return found
+        offset += -offset % 4
+        (length,) = integer(data, offset)
+        names.append(data[offset + 4 : offset + 4 + length].rstrip(b"\0").decode(errors="replace"))
+        offset += 4 + length
+    return names
 
 
 class JointReader:
@@ -108,7 +108,7 @@ class JointReader:
 
     Args:
         names: Names of the joints, in the order of the result.
-        needed: Which of ``FIELDS`` a message must have; values that it has must be finite.
+        needed: Names in ``FIELDS`` that a message must have; all its values must be finite.
     """
 
     def __init__(self, names: Sequence[str], needed: Sequence[str] = FIELDS) -> None:
@@ -121,28 +121,28 @@ class JointReader:
 
         Never raises; for bytes that are not a message ``readable`` is false and the stamp is 0.
         """
-        found = joint_signals(data)
-        if found.complaint:
-            return found
-        known = self._orders.get(found.names, ())
-        if known == ():
-            complaint, known = self._order_of(names_of(found))
+        signals = joint_signals(data)
+        if signals.complaint:
+            return signals
+        order = self._orders.get(signals.names, ())
+        if order == ():
+            complaint, order = self._order_of(names_of(signals))
             if complaint:
-                return replace(found, complaint=complaint)
+                return replace(signals, complaint=complaint)
             if len(self._orders) < 8:  # another publisher that makes up names must not fill the memory
-                self._orders[found.names] = known
+                self._orders[signals.names] = order
         count = len(self._names)
-        for field, values in zip(FIELDS, found.values, strict=True):
+        for field, values in zip(FIELDS, signals.values, strict=True):
             if values.size != count and (values.size or field in self._needed):
-                return replace(found, complaint=f"{values.size} values of {field}, expected {count}")
+                return replace(signals, complaint=f"{values.size} values of {field}, expected {count}")
             if not np.isfinite(values).all():
                 first = int(np.flatnonzero(~np.isfinite(values))[0])
-                name = self._names[first] if known is None else self._names[known.index(first)]
-                return replace(found, complaint=f"{field} of {name} is {values[first]}")
-        if known is None:
-            return found
-        position, velocity, effort = (values[known] if values.size else values for values in found.values)
-        return replace(found, values=(position, velocity, effort))
+                name = self._names[first] if order is None else self._names[order.index(first)]
+                return replace(signals, complaint=f"{field} of {name} is {values[first]}")
+        if order is None:
+            return signals
+        position, velocity, effort = (values[order] if values.size else values for values in signals.values)
+        return replace(signals, values=(position, velocity, effort))
 
     def _order_of(self, names: list[str]) -> tuple[str, list[int] | None]:
         if names == self._names:

@@ -36,9 +36,9 @@ class Frame:
     """A frame of ``/tf``.
 
     Attributes:
-        parent: Frame that it is seen from.
-        name: Its name.
-        placement: Its placement in the axes of the parent.
+        parent: Name of the parent frame.
+        name: Name of the frame.
+        placement: Placement in the axes of the parent.
     """
 
     parent: str
@@ -241,8 +241,8 @@ def joints_of(physics: Physics) -> dict[str, list[str]]:
 
 def pose_values(pose: Any) -> Array:
     """Position [m] and quaternion ``(x, y, z, w)`` of a ``geometry_msgs/Pose``, ``(7,)``."""
-    at, turned = pose.position, pose.orientation
-    return np.array([at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w])
+    position, orientation = pose.position, pose.orientation
+    return np.array([position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w])
 
 
 def _xyz(values: Array) -> dict[str, float]:
@@ -251,7 +251,7 @@ def _xyz(values: Array) -> dict[str, float]:
 
 
 def reference_columns(arm: ArmPlan) -> dict[str, Array]:
-    """Fields of ControllerState that the plan alone decides, one row per tick; of the posture its first joint."""
+    """Fields of ControllerState that follow from the plan, one row per tick; of the posture the first joint only."""
     columns = {}
     for phase, position, posture in (
         ("ante", arm.ante_position, arm.ante_posture),

@@ -37,7 +37,7 @@ class OpenTrial:
         name: Scenario and name of the trial.
         bag: Its bag, open.
         arms: Names of the arms.
-        duration: When the trial ends [s].
+        duration: End of the trial [s].
         plan: The trial; None: it has no scenario of impact_rs.
         tracked: Names of the objects whose poses are published.
         ros_time: Whether stamps are ROS time, and the first signal of every tick is that of tick 0.
@@ -65,9 +65,9 @@ class OpenTrial:
         self.counts: Counter[str] = Counter()
         self._arms = arms
         self._plan = plan
-        beside = () if plan is None else tuple(one.name for one in plan.scene.physics.neighbours)
-        kinds = topics.recorded(arms, neighbours=beside)
-        self._stamp_at = {
+        neighbours = () if plan is None else tuple(neighbour.name for neighbour in plan.scene.physics.neighbours)
+        kinds = topics.recorded(arms, neighbours=neighbours)
+        self._stamp_offset = {
             topic: _SEQUENCE_STAMP_BYTES if kind == topics.TF_MESSAGE else _HEADER_STAMP_BYTES
             for topic, kind in kinds.items()
         }
@@ -75,7 +75,7 @@ class OpenTrial:
         if self._derived is not None:
             bag.write_raw(topics.TF_STATIC, 0, self._derived.static())
         self._origin_ns: int | None = None if ros_time else 0  # stamp of tick 0
-        self._early: list[tuple[str, bytes]] = []  # what came before it was known
+        self._early: list[tuple[str, bytes]] = []  # messages that came before the stamp of tick 0 was known
         self._last: dict[str, int] = {}  # trial time [ns] of the newest message, by topic
         self._readable = {topic: Readable(typestore(), kind) for topic, kind in kinds.items()}
         self.refused: Counter[str] = Counter()
@@ -84,7 +84,7 @@ class OpenTrial:
         self._judged: dict[str, list[bytes]] = defaultdict(list)  # messages of these topics
 
     def store(self, topic: str, data: bytes) -> None:
-        """Write a message, unless it is computed here, or is a repetition of the last one."""
+        """Write a message, unless it is computed here or repeats the last one."""
         if self._derived is not None and topic in DERIVED:
             return
         if not self._has_begun(topic, data):
@@ -108,7 +108,7 @@ class OpenTrial:
             self._write_derived(self._derived.receive(topic, now, data))
 
     def _is_repeated(self, topic: str, now: int) -> bool:
-        """Whether the last message of this topic has the same trial time [ns]; diagnostics have none of their own."""
+        """Whether the last message of this topic has the same trial time [ns]; always false for diagnostics."""
         repeated = topic != topics.DIAGNOSTICS and self._last.get(topic) == now
         if topic != topics.DIAGNOSTICS:
             self._last[topic] = now
@@ -154,7 +154,7 @@ class OpenTrial:
     def _stamp_of(self, topic: str, data: bytes) -> int | None:
         """Stamp of a message [ns]; None: a sequence without elements."""
         try:
-            seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
+            seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_offset[topic])
         except struct.error:
             return None
         return int(seconds * 1_000_000_000 + nanoseconds)
@@ -162,7 +162,7 @@ class OpenTrial:
     def complete(self) -> None:
         """Write computed messages that waited for a pose of the object."""
         if self._derived is not None:
-            self._write_derived(self._derived.rest())
+            self._write_derived(self._derived.remaining())
 
     def _write_derived(self, messages: Iterable[tuple[str, int, bytes]]) -> None:
         for name, now, data in messages:
@@ -175,11 +175,11 @@ class OpenTrial:
         return 1e-9 * max(self._last.values(), default=0)
 
     def summary(self, outcome: str) -> str:
-        """How it ended, for the log; a path follows."""
+        """Line for the log about the end of the trial; the caller appends the path."""
         return f"{self.name}: {outcome} after {self.time:.3f} s, {self.bag.messages} messages in"
 
     def missing(self, expected: dict[str, int]) -> str:
-        """Topics with fewer messages than expected, with both numbers, as text; empty: not any."""
+        """Topics with fewer messages than expected, with both numbers, as text; empty: no such topic."""
         return ", ".join(
             f"{topic} {self.counts[topic]} of {count}"
             for topic, count in expected.items()
@@ -187,17 +187,17 @@ class OpenTrial:
         )
 
     def verdict(self) -> Verdict:
-        """How the trial ended, judged by the recorded signals; without a scenario, only whether there was an impact."""
+        """Outcome of the trial by the recorded signals; without a scenario, only whether there was an impact."""
         if self._plan is not None:
             verdict = judge(self._plan, TrialRecord({arm: self._arm(arm) for arm in self._arms}, self._object()))
         else:
             hit = all(self.counts[topics.impact_event(arm)] for arm in self._arms)
             verdict = Verdict("OK") if hit else Verdict("NO-IMPACT")
-        cut = "" if verdict.outcome in ENDS_EARLY else self.cut_off()
-        return Verdict("ABORTED", cut) if cut else verdict
+        cut_off = "" if verdict.outcome in ENDS_EARLY else self.cut_off()
+        return Verdict("ABORTED", cut_off) if cut_off else verdict
 
     def cut_off(self) -> str:
-        """Signals that end before the trial; empty: not any."""
+        """Message about signals that end before the trial; empty: no such signal."""
         ends = {}
         for topic in (name(arm) for arm in self._arms for name in JUDGED):
             last, count = 1e-9 * self._last.get(topic, 0), self.counts[topic]

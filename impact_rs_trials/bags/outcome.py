@@ -28,17 +28,17 @@ MAX_VIOLATION_S = 0.005  # beyond a limit of position, speed or tilt; a shorter 
 MAX_TORQUE_VIOLATION_S = 0.05  # the impact of a healthy grab takes 6 ms, with up to 1.9 times the limit
 MAX_UNSOLVED_S = 0.05  # without a solution of the QP
 COMMANDED_LIMIT_FACTOR = 1.001  # of the limit; separates a command at its limit from one beyond it
-MEASURED_LIMIT_FACTOR = 1.05  # of the limit; noise and the ringing of its spring take a joint at its limit so far
+MEASURED_LIMIT_FACTOR = 1.05  # of the limit; noise and vibration of the joint reach it when a command is at its limit
 MAX_TILT_IN_TRIAL_RAD = np.radians(20.0)  # of the object from upright; healthy ones turn by 2 degrees
 PERIOD_ROUNDING_S = 1e-9  # of a sum of periods
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a trial ended.
+    """Outcome of a trial.
 
     Attributes:
-        outcome: Which of ``OUTCOMES``.
+        outcome: A key of ``OUTCOMES``.
         reason: Time, joint, value and limit in one line; empty for ``OK``.
     """
 
@@ -54,7 +54,7 @@ class ArmRecord:
         joints: Measured state.
         command_time: Times of the commands, ``(m,)`` [s].
         command: Commanded torque, ``(m, n)`` [N m].
-        qp_status: How the QP was solved, ``(m,)``; see :class:`~impact_rs_control.qp.QpStatus`.
+        qp_status: Status of the QP, ``(m,)``; see :class:`~impact_rs_control.qp.QpStatus`.
         hit: Whether it detected an impact.
         mode: Mode of the controller, ``(m,)``; see :class:`~impact_rs_control.controller.Mode`.
     """
@@ -92,7 +92,7 @@ class TickLog:
         self._ticks: list[Tick] = []
 
     def append(self, tick: Tick) -> None:
-        """Take down one tick."""
+        """Add one tick."""
         self._ticks.append(tick)
 
     def record(self) -> TrialRecord:
@@ -125,12 +125,12 @@ class TickLog:
 
 @dataclass(frozen=True)
 class _Finding:
-    """Something that went wrong.
+    """A violated condition.
 
     Attributes:
         outcome: Resulting outcome of the trial.
-        time: Since when [s].
-        reason: In one line.
+        time: Begin of the violation [s].
+        reason: Reason in one line.
     """
 
     outcome: Outcome
@@ -146,8 +146,8 @@ def judge(plan: TrialPlan, recorded: TrialRecord) -> Verdict:
         recorded: Measured and commanded signals.
     """
     gravity = list(OUTCOMES)
-    found = sorted(_findings(plan, recorded), key=lambda one: (gravity.index(one.outcome), one.time))
-    return Verdict(found[0].outcome, found[0].reason) if found else Verdict("OK")
+    findings = sorted(_findings(plan, recorded), key=lambda finding: (gravity.index(finding.outcome), finding.time))
+    return Verdict(findings[0].outcome, findings[0].reason) if findings else Verdict("OK")
 
 
 def _findings(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
@@ -180,21 +180,21 @@ def _runaway(name: str, arm: ArmRecord, model: RobotModel) -> Iterator[_Finding]
                 f"{name} joint{joint + 1} at {abs(joints.velocity[row, joint]):.4g} {unit} against "
                 f"{model.velocity_max[joint]:.4g} {unit} at {time:.3f} s",
             )
-    for what, times, values in (
+    for signal, times, values in (
         ("position", joints.time, joints.position),
         ("torque", joints.time, joints.effort),
         ("commanded torque", arm.command_time, arm.command),
     ):
         for row, joint in np.argwhere(~np.isfinite(values))[:1]:
             time = float(times[row])
-            yield _Finding("DIVERGED", time, f"{name} joint{joint + 1}: {what} not finite at {time:.3f} s")
+            yield _Finding("DIVERGED", time, f"{name} joint{joint + 1}: {signal} not finite at {time:.3f} s")
 
 
 def _beyond_limits(name: str, arm: ArmRecord, model: RobotModel, period: float) -> Iterator[_Finding]:
     """Every joint that was beyond one of its limits for too long."""
     joints, torque = arm.joints, model.torque_max
     stops = (model.position_min, model.position_max)
-    for what, quantity, time, values, (low, high), margin, longest in (
+    for signal, quantity, time, values, (low, high), margin, max_duration in (
         ("position", "position", joints.time, joints.position, stops, 1.0, MAX_VIOLATION_S),
         (
             "speed",
@@ -227,8 +227,8 @@ def _beyond_limits(name: str, arm: ArmRecord, model: RobotModel, period: float) 
         if not time.size:
             continue
         beyond = (values < margin * low) | (values > margin * high)
-        lasted = beyond.sum(axis=0) * period
-        for joint in np.flatnonzero(lasted > longest + PERIOD_ROUNDING_S):
+        duration = beyond.sum(axis=0) * period
+        for joint in np.flatnonzero(duration > max_duration + PERIOD_ROUNDING_S):
             rows = np.flatnonzero(beyond[:, joint])
             excess = np.maximum(values[rows, joint] - high[joint], low[joint] - values[rows, joint])
             worst = values[rows[np.argmax(excess)], joint]
@@ -237,8 +237,8 @@ def _beyond_limits(name: str, arm: ArmRecord, model: RobotModel, period: float) 
             yield _Finding(
                 "LIMIT",
                 since,
-                f"{name} joint{joint + 1}: {what} {worst:.4g} {unit} against {limit:.4g} {unit}, beyond it for "
-                f"{1e3 * lasted[joint]:.0f} ms from {since:.3f} s",
+                f"{name} joint{joint + 1}: {signal} {worst:.4g} {unit} against {limit:.4g} {unit}, beyond it for "
+                f"{1e3 * duration[joint]:.0f} ms from {since:.3f} s",
             )
 
 
@@ -246,11 +246,11 @@ def _unsolved(name: str, arm: ArmRecord, period: float) -> Iterator[_Finding]:
     """A controller whose limits contradicted each other for too long."""
     rows = np.flatnonzero(arm.qp_status != QpStatus.SOLVED)
     if rows.size * period > MAX_UNSOLVED_S + PERIOD_ROUNDING_S:
-        since, lasted = float(arm.command_time[rows[0]]), 1e3 * rows.size * period
+        since, duration_ms = float(arm.command_time[rows[0]]), 1e3 * rows.size * period
         yield _Finding(
             "INFEASIBLE",
             since,
-            f"{name}: no torque within the limits solved its QP for {lasted:.0f} ms from {since:.3f} s",
+            f"{name}: no torque within the limits solved its QP for {duration_ms:.0f} ms from {since:.3f} s",
         )
 
 
@@ -277,38 +277,38 @@ def _too_early(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
                 )
 
 
-def _tipped(seen: Poses, about_axis: bool) -> Iterator[_Finding]:
+def _tipped(poses: Poses, about_axis: bool) -> Iterator[_Finding]:
     """An object that tips over, by the angle between the vertical in body axes now and at the start.
 
     Args:
-        seen: Its poses.
-        about_axis: Whether it is round about its z, and may roll: the angle of its z alone is taken.
+        poses: Tracked poses of the object.
+        about_axis: Whether the object is round about its z axis and may roll: then only the angle of that axis counts.
     """
     # The vertical in body axes is the last row of R: (2 (x z - y w), 2 (y z + x w), 1 - 2 (x^2 + y^2)).
-    if seen.time.size < 2:
+    if poses.time.size < 2:
         return
-    x, y, z, w = seen.quaternion.T
+    x, y, z, w = poses.quaternion.T
     vertical = np.stack((2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x**2 + y**2)), axis=-1)
     tilt = np.arccos(np.clip(vertical @ vertical[0], -1.0, 1.0))
     if about_axis:
         lean = np.arccos(np.clip(vertical[:, 2], -1.0, 1.0))
         tilt = np.abs(lean - lean[0])
     rows = np.flatnonzero(tilt > MAX_TILT_IN_TRIAL_RAD)
-    if rows.size * np.median(np.diff(seen.time)) > MAX_VIOLATION_S + PERIOD_ROUNDING_S:
-        since, worst, limit = float(seen.time[rows[0]]), np.degrees(tilt.max()), np.degrees(MAX_TILT_IN_TRIAL_RAD)
+    if rows.size * np.median(np.diff(poses.time)) > MAX_VIOLATION_S + PERIOD_ROUNDING_S:
+        since, worst, limit = float(poses.time[rows[0]]), np.degrees(tilt.max()), np.degrees(MAX_TILT_IN_TRIAL_RAD)
         yield _Finding(
             "TIPPED", since, f"the object leaned by {worst:.0f} degrees against {limit:.0f} degrees from {since:.3f} s"
         )
 
 
-def _dropped(plan: TrialPlan, seen: Poses) -> Iterator[_Finding]:
-    """An object that was to be lifted and did not rise enough until it was seen last."""
-    if not seen.time.size:  # it was not tracked
+def _dropped(plan: TrialPlan, poses: Poses) -> Iterator[_Finding]:
+    """An object that should be lifted and had not risen enough in its last tracked pose."""
+    if not poses.time.size:  # it was not tracked
         return
-    last = float(seen.time[-1])
-    meant = plan.expected_lift_at(last)
-    lift = float(seen.position[-1, 2] - seen.position[0, 2])
-    if meant - lift > MAX_SUNK_SHARE * plan.expected_lift > 0.0:
+    last = float(poses.time[-1])
+    expected_lift = plan.expected_lift_at(last)
+    lift = float(poses.position[-1, 2] - poses.position[0, 2])
+    if expected_lift - lift > MAX_SUNK_SHARE * plan.expected_lift > 0.0:
         yield _Finding(
-            "DROPPED", last, f"the object rose {lift:.3f} m until {last:.3f} s, it was to rise {meant:.3f} m"
+            "DROPPED", last, f"the object rose {lift:.3f} m until {last:.3f} s, it was to rise {expected_lift:.3f} m"
         )

@@ -51,7 +51,7 @@ class BagError(Exception):
 
 
 def reason_of(error: Exception) -> str:
-    """Why one bag cannot be used, in one line, whatever went wrong with it."""
+    """Reason why one bag cannot be used, in one line, for any exception."""
     if isinstance(error, BagError):
         return error.reason
     if isinstance(error, InputError):
@@ -136,8 +136,8 @@ def recorded_at(path: Path) -> float:
     Args:
         path: Folder of the bag; its messages may be damaged.
     """
-    found = _recorded(_custom(path))
-    return path.stat().st_mtime if found is None else found
+    recorded = _recorded(_custom(path))
+    return path.stat().st_mtime if recorded is None else recorded
 
 
 def stamped_at(path: Path) -> float | None:
@@ -174,7 +174,7 @@ class TrialBag:
 
     Args:
         path: Folder of the bag.
-        reader: Open; the bag closes it.
+        reader: Open reader, which the bag closes.
         info: Identity of the trial.
         metadata: Custom metadata of the recorder.
         sealed: Whether it has checksums, all correct; bags of 0.1.0 and of other programs lack them.
@@ -199,7 +199,7 @@ class TrialBag:
 
     @classmethod
     def open(cls, path: Path) -> TrialBag:
-        """The trial in a folder; a cut-off one is ``ABORTED`` and has the messages that reached the disk.
+        """The trial in a folder; a truncated recording is ``ABORTED`` and has the messages that reached the disk.
 
         Raises:
             BagError: The folder is no readable bag, or holds no ``/trial_info``.
@@ -232,10 +232,10 @@ class TrialBag:
     def _recovered(cls, path: Path) -> TrialBag:
         with TemporaryDirectory() as folder:  # the open file outlives it
             try:
-                left = recover(path, Path(folder) / path.name)
+                recovered = recover(path, Path(folder) / path.name)
             except Exception as error:  # a damaged message can fail anywhere
                 raise BagError(path, f"the recording was cut off ({type(error).__name__}: {error})") from None
-            if not left:
+            if not recovered:
                 raise BagError(path, "no metadata.yaml: the recording was cut off, and nothing of it is left")
             bag = cls.open(Path(folder) / path.name)
         bag.path = path
@@ -273,13 +273,13 @@ class TrialBag:
         """
         return _messages(self.path, self._reader, topic)
 
-    def _columns(self, topic: str, of: Callable[[dict[str, Array]], Columns]) -> Columns:
+    def _columns(self, topic: str, make: Callable[[dict[str, Array]], Columns]) -> Columns:
         """All numbers of a topic, and trial ``time`` by the header stamps [s], as columns of a kind."""
         connection, rows = _raw(self.path, self._reader, topic, self._ahead)
         try:
             if connection is None:
-                return of({})
-            return of(columns_of(connection.msgtype, rows, typestore_of(connection), self.origin_ns))
+                return make({})
+            return make(columns_of(connection.msgtype, rows, typestore_of(connection), self.origin_ns))
         except Exception as error:  # damaged, or a topic of another type
             raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
 
@@ -310,31 +310,31 @@ class TrialBag:
         """Measured signals, checked."""
         arms, time = {}, None
         of_arm = (topics.joint_states, topics.motor_states, topics.controller_state)
-        beside = {name: topics.pose(name) for name in self.info.neighbours}
+        neighbour_topics = {name: topics.pose(name) for name in self.info.neighbours}
         of_arms = (topic(arm) for arm in self.info.robots for topic in of_arm)
-        self._read_ahead(topics.OBJECT_POSE, *beside.values(), *of_arms)
+        self._read_ahead(topics.OBJECT_POSE, *neighbour_topics.values(), *of_arms)
         for arm in self.info.robots:
             time, arms[arm] = self._arm(arm)
         if time is None:
             raise BagError(self.path, "names no robots")
-        seen = self._tracked(topics.OBJECT_POSE)
-        neighbours = {name: self._tracked(topic) for name, topic in beside.items()}
-        return Signals(time, arms, seen.time, seen.position, seen.quaternion, neighbours)
+        tracked = self._tracked(topics.OBJECT_POSE)
+        neighbours = {name: self._tracked(topic) for name, topic in neighbour_topics.items()}
+        return Signals(time, arms, tracked.time, tracked.position, tracked.quaternion, neighbours)
 
     def _tracked(self, topic: str) -> Poses:
         """Tracked poses of a body, checked; empty where they were not recorded, as in bags of 0.1.0."""
-        seen = self.poses(topic)
-        if np.any(back := np.diff(seen.time) < 0.0):  # a tracker may repeat its last sample
-            first = float(seen.time[1:][np.argmax(back)])
+        poses = self.poses(topic)
+        if np.any(decreasing := np.diff(poses.time) < 0.0):  # a tracker may repeat its last sample
+            first = float(poses.time[1:][np.argmax(decreasing)])
             raise BagError(self.path, f"{topic}: time stamps run backwards at t = {first:.3f} s")
-        return seen
+        return poses
 
     def _read_ahead(self, *names: str) -> None:
-        """Read several topics in one pass over the file; a damaged one is read, and named, by itself later."""
+        """Read several topics in one pass over the file; if that fails, each is read alone later."""
         rows: dict[str, list[bytes]] = {name: [] for name in names}
-        wanted = [connection for connection in self._reader.connections if connection.topic in rows]
+        connections = [connection for connection in self._reader.connections if connection.topic in rows]
         with suppress(Exception):
-            for connection, _, data in self._reader.messages(connections=wanted):
+            for connection, _, data in self._reader.messages(connections=connections):
                 rows[connection.topic].append(data)
             self._ahead = rows
 
@@ -355,10 +355,10 @@ class TrialBag:
         ):
             if size != time.size:
                 raise BagError(self.path, f"{topic} has {size} messages, {topics.joint_states(arm)} has {time.size}")
-        if np.any(other := np.abs(motor.time - time) > MAX_STAMP_DIFFERENCE_S):
-            first = float(time[np.argmax(other)])
-            both = f"{topics.motor_states(arm)} and {topics.joint_states(arm)}"
-            raise BagError(self.path, f"{both} have different stamps at t = {first:.3f} s")
+        if np.any(differing := np.abs(motor.time - time) > MAX_STAMP_DIFFERENCE_S):
+            first = float(time[np.argmax(differing)])
+            pair = f"{topics.motor_states(arm)} and {topics.joint_states(arm)}"
+            raise BagError(self.path, f"{pair} have different stamps at t = {first:.3f} s")
         for topic in (topics.joint_states(arm), topics.motor_states(arm)):
             self._check_joints(topic, arm, time)
         for name, values in (
@@ -383,8 +383,8 @@ class TrialBag:
         """Check that every message names the same joints, in the order of the robot if they are the robot's."""
         _, rows = _raw(self.path, self._reader, topic, self._ahead)
         names, part = _joints_of(rows[0])
-        if (place := next((n for n, row in enumerate(rows) if row[part] != rows[0][part]), None)) is not None:
-            raise BagError(self.path, f"{topic}: other joints, or another order, at t = {time[place]:.3f} s")
+        if (index := next((n for n, row in enumerate(rows) if row[part] != rows[0][part]), None)) is not None:
+            raise BagError(self.path, f"{topic}: other joints, or another order, at t = {time[index]:.3f} s")
         facts = self.info.spec.scenario.robots[arm].robot_facts
         expected = [f"{arm}_{joint}" for joint in joint_names(facts)]
         if names != expected and sorted(names) == sorted(expected):
@@ -394,8 +394,8 @@ class TrialBag:
 
     def impact_time(self, arm: str) -> float:
         """Detected impact time of an arm [s]; NaN: not detected."""
-        found = self.messages(topics.impact_event(arm))
-        return float(found[0].detected_time) if found else math.nan
+        events = self.messages(topics.impact_event(arm))
+        return float(events[0].detected_time) if events else math.nan
 
 
 def _joints_of(row: bytes) -> tuple[list[str], slice]:
@@ -470,11 +470,11 @@ def _messages(path: Path, reader: Reader, topic: str) -> list[Any]:
 def _identity(path: Path, reader: Reader) -> TrialInfo:
     if all(connection.topic != topics.TRIAL_INFO for connection in reader.connections):
         raise BagError(path, f"no {topics.TRIAL_INFO}: not a trial of impact_rs")
-    found = _messages(path, reader, topics.TRIAL_INFO)
-    if not found:
+    messages = _messages(path, reader, topics.TRIAL_INFO)
+    if not messages:
         raise BagError(path, f"{topics.TRIAL_INFO} is empty: the recording was cut off")
     try:
-        return TrialInfo.from_message(found[0])
+        return TrialInfo.from_message(messages[0])
     except AttributeError as error:
         raise BagError(path, f"{topics.TRIAL_INFO} is of another kind: {error}") from None
 

@@ -43,13 +43,13 @@ def descriptions(physics: Physics) -> dict[str, str]:
 
 
 class FrameSource:
-    """Frames for ``/tf`` and ``/tf_static`` from measurements alone: links in chains, object and support.
+    """Frames for ``/tf`` and ``/tf_static`` from measurements: links in chains, object and support.
 
     Args:
         scene: The scene.
         prefix: Prefix of every frame, ``cell_a/``, if several graphs share ``/tf``; the prefixed ``world`` then is
             a child of the common ``world``, at the same pose.
-        links: Whether frames of links are among them; otherwise robot_state_publisher publishes these.
+        links: Whether frames of links are included; if not, robot_state_publisher publishes them.
 
     Attributes:
         static: Frames that never move in their parent: support, bases, pads, frames fixed to a link.
@@ -65,16 +65,16 @@ class FrameSource:
         bodies = dict(zip(scene.physics.bodies, (scene.object, *standing(scene.physics, scene.object)), strict=True))
         self._bodies = {name: pin.SE3(body.rotation, body.position) for name, body in bodies.items()}
         self._fixed: set[str] = set()
-        at_rest, moved = (
+        frames_at_zero, frames_at_one = (
             self._named({name: np.full(model.joint_count, q) for name, model in self._models.items()})
             for q in (0.0, 1.0)
         )
         self.static = [
-            one
-            for one, other in zip(at_rest, moved, strict=True)
-            if one.placement.isApprox(other.placement, FIXED_TOLERANCE)
+            frame
+            for frame, moved_frame in zip(frames_at_zero, frames_at_one, strict=True)
+            if frame.placement.isApprox(moved_frame.placement, FIXED_TOLERANCE)
         ]
-        self._fixed = {one.name for one in self.static}
+        self._fixed = {frame.name for frame in self.static}
 
     def due(self, tick: int) -> bool:
         """Whether transforms are published in this tick."""
@@ -82,33 +82,35 @@ class FrameSource:
 
     def frames(self, measurement: Measurement) -> list[Frame]:
         """Every frame that moves, at a measurement."""
-        seen = {"object": measurement.object} if measurement.object is not None else {}
+        tracked = {"object": measurement.object} if measurement.object is not None else {}
         return self.at(
             {name: arm.position for name, arm in measurement.arms.items()},
-            {name: (one.position, one.quaternion) for name, one in (seen | measurement.neighbours).items()},
+            {name: (pose.position, pose.quaternion) for name, pose in (tracked | measurement.neighbours).items()},
         )
 
-    def at(self, arms: dict[str, Array], seen: Mapping[str, tuple[Array, Array]]) -> list[Frame]:
-        """As :meth:`frames`, from joint positions by arm, and position and quaternion of the objects that were seen."""
-        for name, (position, quaternion) in seen.items():
+    def at(self, arms: dict[str, Array], poses: Mapping[str, tuple[Array, Array]]) -> list[Frame]:
+        """Like :meth:`frames`, from joint positions by arm, and position and quaternion of the tracked objects."""
+        for name, (position, quaternion) in poses.items():
             self._bodies[name] = pin.SE3(pin.Quaternion(quaternion).matrix(), position)
-        bodies = [Frame(self._prefix + WORLD, self._prefix + name, place) for name, place in self._bodies.items()]
+        bodies = [
+            Frame(self._prefix + WORLD, self._prefix + name, placement) for name, placement in self._bodies.items()
+        ]
         return [*(frame for frame in self._named(arms) if frame.name not in self._fixed), *bodies]
 
     def _named(self, arms: dict[str, Array]) -> list[Frame]:
         """Every frame except object and neighbours, with its prefix."""
         frames = [Frame(WORLD, "support", pin.SE3.Identity())] if self._supported else []
         for name, model in self._models.items():
-            parent, before = WORLD, pin.SE3.Identity()
+            parent, parent_placement = WORLD, pin.SE3.Identity()
             for link, placement in model.link_placements(arms[name]).items() if self._links else ():
                 child = f"{name}_{link}"
-                frames.append(Frame(parent, child, before.actInv(placement)))
-                parent, before = child, placement
+                frames.append(Frame(parent, child, parent_placement.actInv(placement)))
+                parent, parent_placement = child, placement
             frames.append(Frame(f"{name}_end_effector", f"{name}_pad", self._pads[name]))
         if not self._prefix:
             return frames
-        named = [Frame(self._prefix + one.parent, self._prefix + one.name, one.placement) for one in frames]
-        return [Frame(WORLD, self._prefix + WORLD, pin.SE3.Identity()), *named]
+        prefixed = [Frame(self._prefix + frame.parent, self._prefix + frame.name, frame.placement) for frame in frames]
+        return [Frame(WORLD, self._prefix + WORLD, pin.SE3.Identity()), *prefixed]
 
 
 def occasional_messages(
@@ -117,8 +119,8 @@ def occasional_messages(
     """Messages of the plant that are not published in every tick, with their topics."""
     if measurement.object is not None:
         yield topics.OBJECT_POSE, maker.object_pose(tick, measurement.object)
-    for name, seen in measurement.neighbours.items():
-        yield topics.pose(name), maker.object_pose(tick, seen)
+    for name, measured in measurement.neighbours.items():
+        yield topics.pose(name), maker.object_pose(tick, measured)
     if truth is not None and truth.object is not None:
         for name, state in {"object": truth.object, **truth.neighbours}.items():
             yield topics.truth_pose(name), maker.truth_object_pose(tick, state)
@@ -128,7 +130,7 @@ def occasional_messages(
         yield topics.CLOCK, maker.clock(tick)
 
 
-def keep_tick(streams: Mapping[str, Stream], tick: Tick, truth: Truth | None) -> None:
+def add_tick(streams: Mapping[str, Stream], tick: Tick, truth: Truth | None) -> None:
     """Add the signals of a tick to the streams of plant and controller; topics below ``/truth`` need ``truth``."""
     for arm, measured in tick.measurement.arms.items():
         streams[topics.joint_states(arm)].add(tick.number, measured)
@@ -188,22 +190,22 @@ def record_cell(
     """
     try:
         maker, frames = MessageMaker(RosbagsTypes(), plan), FrameSource(plan.scene)
-        neighbours = [one.name for one in plan.scene.physics.neighbours]
-        arms, known = list(plan.arms), truth is not None
-        with without_garbage_collection(), BagWriter.create(path, arms, known, neighbours=neighbours) as bag:
+        neighbours = [neighbour.name for neighbour in plan.scene.physics.neighbours]
+        arms, has_truth = list(plan.arms), truth is not None
+        with without_garbage_collection(), BagWriter.create(path, arms, has_truth, neighbours=neighbours) as bag:
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             for topic, urdf in descriptions(plan.scene.physics).items():
                 bag.write(topic, 0, maker.robot_description(urdf))
             bag.write(topics.TF_STATIC, 0, maker.transforms(0, frames.static))
-            ticks, streaming = TickLog(plan), StreamMaker(plan)
-            streams = {**streaming.of_plant(), **streaming.of_controller()}
+            ticks, stream_maker = TickLog(plan), StreamMaker(plan)
+            streams = {**stream_maker.of_plant(), **stream_maker.of_controller()}
             tick: Tick
             try:
                 for tick in run_closed_loop(plan, cell):
                     now = maker.nanoseconds(tick.number)
                     state = None if truth is None else truth()
-                    keep_tick(streams, tick, state)
+                    add_tick(streams, tick, state)
                     for topic, message in occasional_messages(maker, tick.number, tick.measurement, state, frames):
                         bag.write(topic, now, message)
                     for arm, command in tick.commands.items():

@@ -19,21 +19,21 @@ def recover(cut: Path, whole: Path) -> bool:
     """Write the readable messages of a truncated trial to a new bag, with the end of the recording in its reason.
 
     Args:
-        cut: Folder of the bag that was cut off; it stays as it is.
+        cut: Folder of the truncated bag; it is not changed.
         whole: Folder of the new bag; must not exist yet.
 
     Returns:
-        Whether there is anything left: who wrote the bag must have come as far as saying which trial it is.
+        Whether a bag was written: the truncated bag has at least ``/trial_info``.
 
     Raises:
         InputError: The new bag cannot be written.
-        OSError: One of them cannot be read or written.
+        OSError: A file cannot be read or written.
     """
     messages = [message for path in sorted(cut.glob("*.mcap")) for message in checksums.whole_messages(path)]
-    found = next(((time, data) for topic, time, data in messages if topic == topics.TRIAL_INFO), None)
-    if found is None:
+    first = next(((time, data) for topic, time, data in messages if topic == topics.TRIAL_INFO), None)
+    if first is None:
         return False
-    origin, recorded = found  # the first message of a trial, at trial time 0
+    origin, recorded = first  # the first message of a trial, at trial time 0
     info = TrialInfo.from_message(typestore().deserialize_cdr(recorded, topics.TRIAL_INFO_TYPE))
     with BagWriter.create(whole, list(info.robots), origin_ns=origin, neighbours=info.neighbours) as bag:
         bag.describe(info)

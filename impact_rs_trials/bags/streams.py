@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals of every tick, kept as samples and serialized in bursts.
+"""Signals of every tick, stored as samples and serialized in bursts.
 
-Filling and serializing a message object per tick and topic costs more than the physics. Here a sample is kept when it
+Filling and serializing a message object per tick and topic costs more than the physics. Here a sample is stored when it
 is measured, and a whole burst is serialized column by column. The bytes equal the messages that
 :class:`~impact_rs_trials.bags.messages.MessageMaker` makes.
 """
@@ -83,12 +83,12 @@ class Stream:
         self._samples: list[Any] = []
 
     def add(self, tick: int, sample: Any) -> None:
-        """Keep a sample; it must not be changed afterwards."""
+        """Store a sample; it must not be changed afterwards."""
         self._ticks.append(tick)
         self._samples.append(sample)
 
     def take(self) -> tuple[list[int], list[bytes]]:
-        """Everything kept so far: trial time [ns] of every sample, and the sample serialized."""
+        """Stored samples, which are removed: trial times [ns] and serialized messages."""
         if not self._ticks:
             return [], []
         ticks, samples = np.array(self._ticks), self._samples
@@ -100,8 +100,8 @@ class Stream:
         columns |= {path: table[ticks] for path, table in self._tables.items()}
         return times.tolist(), self._template.rows(columns, len(ticks))
 
-    def one(self, tick: int, sample: Any) -> bytes:
-        """One sample, serialized at once."""
+    def serialized(self, tick: int, sample: Any) -> bytes:
+        """The message of one sample, serialized at once."""
         seconds, nanoseconds = divmod(self.origin_ns + tick * self._period_ns, NS_PER_S)
         columns: dict[str, Any] = {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
         columns |= {path: get(sample) for path, get in self._fields.items()}
@@ -123,21 +123,21 @@ class StreamMaker:
 
     def of_plant(self) -> dict[str, Stream]:
         """Streams of the signals that the plant publishes in every tick, by topic."""
-        found = {}
+        streams = {}
         for arm in self._plan.arms:
-            found[topics.joint_states(arm)] = self.joint_states(arm)
-            found[topics.motor_states(arm)] = self.motor_states(arm)
-            found[topics.truth_joint_states(arm)] = self.joint_states(arm)
-            found[topics.truth_contact_wrench(arm)] = self.contact_wrench(arm)
-        return found
+            streams[topics.joint_states(arm)] = self.joint_states(arm)
+            streams[topics.motor_states(arm)] = self.motor_states(arm)
+            streams[topics.truth_joint_states(arm)] = self.joint_states(arm)
+            streams[topics.truth_contact_wrench(arm)] = self.contact_wrench(arm)
+        return streams
 
     def of_controller(self) -> dict[str, Stream]:
         """Streams of the signals that the controller publishes in every tick, by topic."""
-        found = {}
+        streams = {}
         for arm in self._plan.arms:
-            found[topics.joint_command(arm)] = self.joint_command(arm)
-            found[topics.controller_state(arm)] = self.controller_state(arm)
-        return found
+            streams[topics.joint_command(arm)] = self.joint_command(arm)
+            streams[topics.controller_state(arm)] = self.controller_state(arm)
+        return streams
 
     def _joints(self, arm: str) -> Array:
         return np.zeros(self._plan.arms[arm].initial.size)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topic names, as they are in bags and in the root namespace, and types; the only place they are spelled.
+"""Names and types of topics in bags and in the root namespace; defined here only.
 
 Per arm: ``/ARM/...``. Everything below ``/truth`` comes from the plant and is never read by the analysis.
 """

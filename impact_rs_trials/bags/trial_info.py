@@ -27,14 +27,14 @@ OUTCOMES: dict[str, str] = {  # the gravest first: it is the outcome if several 
     "OK": "it went as planned",
 }
 
-# In `via`, of a trial that is simulated in one program, the same whenever it runs, by its simulator:
+# Values of `via`, by simulator, of trials that are simulated in one process and repeat exactly.
 VIA: dict[Simulator, str] = {"bullet": "inprocess", "twin": "twin"}
 FORMER_NAMES = {"scenario_json": "scenario_yaml"}  # of fields, up to version 0.1.0; the layout is the same
 
 
 @dataclass(frozen=True)
 class TrialKey:
-    """Which trial of a campaign.
+    """Key of a trial in its campaign.
 
     Attributes:
         object: Name of the object.
@@ -123,7 +123,7 @@ class TrialInfo:
 
     @property
     def key(self) -> TrialKey:
-        """Which trial of its campaign this is."""
+        """Key of the trial in its campaign."""
         return TrialKey(self.object, self.case_name, self.velocity_scale, self.repeat)
 
     @property

@@ -36,13 +36,13 @@ def typestore_of(connection: Connection) -> Typestore:
     New versions add fields to these types, and a serialized message does not contain its definition.
     """
     definition = connection.msgdef
-    own = connection.msgtype.startswith("impact_rs/") and definition.format == MessageDefinitionFormat.MSG
-    return _typestore_with(connection.msgtype, definition.data) if own else typestore()
+    is_ours = connection.msgtype.startswith("impact_rs/") and definition.format == MessageDefinitionFormat.MSG
+    return _typestore_with(connection.msgtype, definition.data) if is_ours else typestore()
 
 
 @functools.lru_cache(maxsize=64)
 def _typestore_with(kind: str, definition: str) -> Typestore:
-    """Standard messages, and a type by a definition with all that it is made of."""
+    """Standard messages, and a type with its nested types from a definition."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(definition, kind))
     return store

@@ -35,7 +35,7 @@ from impact_rs_trials.bags.types import typestore
 MISSING = "missing"  # key of the metadata: topics without a message
 RECORDED = "recorded"  # key of the metadata: date and time (UTC) of the recording
 ORIGIN = "origin_ns"  # key of the metadata: stamp of trial time 0 [ns], ROS time; without it stamps are trial time
-FILES = ("scenario_json", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
+FILES = ("scenario_json", "model_yaml")  # not in the metadata: 200 kB with a friction compensation take YAML a second
 MAX_BLOCK_MESSAGES = 100_000  # kept in memory; several trials' worth
 MAX_CHUNK_BYTES = 2**20  # before compression, as in rosbags
 ZSTD_LEVEL = 1  # 3, the default of zstd, takes twice the time for a bag smaller by a few percent
@@ -213,7 +213,7 @@ class BagWriter:
         return bag
 
     def begin(self, origin_ns: int) -> None:
-        """Trial time 0 has this stamp [ns]; messages that waited for it are written."""
+        """Set the stamp of trial time 0 [ns], and write the messages that waited for it."""
         self._origin_ns = origin_ns
         if origin_ns:
             self._writer.set_custom_data(ORIGIN, str(origin_ns))
@@ -281,15 +281,15 @@ class BagWriter:
             encoded = encode(self._store, connection.msgtype, messages)
             rows += [(time, connection, row) for time, row in zip(times, encoded, strict=True)]
         if rows:
-            later = self._origin_ns
-            stamped = [(later + time, connection, row) for time, connection, row in rows] if later else rows
+            origin = self._origin_ns
+            stamped = [(origin + time, connection, row) for time, connection, row in rows] if origin else rows
             self._writer.write_many(sorted(stamped, key=itemgetter(0)))
 
     def finish(self, outcome: Outcome, reason: str = "") -> None:
         """Close the bag and give it its name; topics without messages are listed in its metadata.
 
         Args:
-            outcome: How the trial ended.
+            outcome: Outcome of the trial.
             reason: Reason of the outcome, in one line; may be empty.
 
         Raises:

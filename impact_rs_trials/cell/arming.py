@@ -20,11 +20,11 @@ from impact_rs_trials.cell.motion_capture import MOCAP, TrackedPose, TrackerPose
 from impact_rs_trials.cell.robot_states import STATES, ArmStates
 from impact_rs_trials.lockstep.wires import Incoming
 
-MIN_OBSERVED_S = 0.5  # of the robot before it is held
+MIN_OBSERVED_S = 0.5  # for which the robot is observed before it is held
 MIN_OBSERVED_STATES = 50  # in that time
 ARMING_TIMEOUT_S = 3.0
-HOLDING_S = 0.2  # of robot time, in which it must stay where it is held before it is led
-PERIOD_TOLERANCE_SHARE = 0.02  # of the period, by which the states of the robot may come faster or slower
+HOLDING_S = 0.2  # of robot time, in which the held robot must not move before the controller takes over
+PERIOD_TOLERANCE_SHARE = 0.02  # of the period, by which the robot's states may come faster or slower
 MAX_POSE_AGE_S = 0.5  # of the object
 ARMING_POLL_S = 0.002
 
@@ -47,7 +47,7 @@ class Arming:
 
     Args:
         plan: The trial.
-        arms: The robot, nothing sent to it yet for this trial.
+        arms: The robot, to which nothing was sent yet in this trial.
         mocap: Reads poses of the object; None: not used.
         inbox: Subscriptions to the robot's states and the object's poses.
         limits: Limits of the robot.
@@ -72,15 +72,15 @@ class Arming:
         self._limits = limits
         self._holder = holder
         self._monotonic = monotonic
-        self._timeless = False  # states came whose age is not known
+        self._timeless = False  # whether states of unknown age came
         self._pose: TrackedPose | None = None  # last pose of the object
 
     def look(self) -> str:
         """Observe the robot's states for a while without new commands; returns the result in one line.
 
         Raises:
-            InputError: The robot is not at rest where the trial starts, or its states do not come as the trial needs
-                them, or too late to this process.
+            InputError: The robot is not at rest at the start of the trial, or its states have another period than the
+                trial, or too much jitter.
         """
         period = self._plan.scene.scenario.timing.control_period
         arrivals, stamps = [], []
@@ -120,12 +120,12 @@ class Arming:
         """Hold the arms for a moment; returns the position of the object in words, if its poses are used.
 
         Raises:
-            InputError: They do not stay where they are, or no pose came. They are held on: the brake lets an arm whose
-                weight is assumed wrongly, by dtau, move at T (M + B)^-1 dtau, and a released one accelerate.
+            InputError: The arms move, or no pose came. The arms stay held: with a gravity torque wrong by dtau a braked
+                arm moves at T (M + B)^-1 dtau, with T the time constant of the brake; a released arm accelerates.
         """
         latest = self._arms.states.latest
         assert latest is not None
-        until = latest.stamp + round(1e9 * HOLDING_S)
+        end_of_holding = latest.stamp + round(1e9 * HOLDING_S)
         self._arms.rest()
         for states in self._states(self._arms):
             if complaint := start_complaint(self._plan, states, self._limits.start):
@@ -134,7 +134,7 @@ class Arming:
                     f"not armed: {complaint}, while it was held; this node assumes that the robot {adds} gravity "
                     "(robot_adds_gravity)"
                 )
-            if states.stamp >= until:
+            if states.stamp >= end_of_holding:
                 return self._object()
         raise InputError(
             f"not armed: less than {HOLDING_S:g} s of states in {ARMING_TIMEOUT_S:g} s while the robot was held"
@@ -148,9 +148,9 @@ class Arming:
         return f", object {distance_from_scenario(self._plan, self._pose)}"
 
     def _states(self, holder: EffortArms | None) -> Iterator[ArmStates]:
-        """Usable states for a while, each as it comes; poses of the object are read on the way."""
-        until, first = self._monotonic() + ARMING_TIMEOUT_S, True
-        while self._monotonic() < until:
+        """Usable states as they come, until the timeout; poses of the object are read, too."""
+        deadline, first = self._monotonic() + ARMING_TIMEOUT_S, True
+        while self._monotonic() < deadline:
             self._inbox.wait(ARMING_POLL_S)
             for topic, data in self._inbox.take():
                 if topic == MOCAP and self._mocap is not None:
@@ -167,14 +167,14 @@ class Arming:
                     continue
                 if states.complaint:
                     raise InputError(f"not armed: {STATES}: {states.complaint}")
-                if first:  # of a robot that was only just found
-                    until, first = self._monotonic() + ARMING_TIMEOUT_S, False
+                if first:  # the timeout counts from the first state of a robot
+                    deadline, first = self._monotonic() + ARMING_TIMEOUT_S, False
                 yield states
             if holder is not None:
                 holder.rest()
 
     def _age_of(self, pose: TrackedPose) -> float:
-        """Difference between now and its timestamp [s]."""
+        """Difference between now and the timestamp of a pose [s]."""
         stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
         return abs(1e-9 * (self._arms.states.clock.now() - stamp))
 
@@ -185,17 +185,17 @@ def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str
     Args:
         plan: The trial.
         states: States of the arms.
-        tolerance: How far a joint may be away [rad].
+        tolerance: Largest distance of a joint from the start [rad].
     """
-    for name, own in plan.arms.items():
+    for name, arm_plan in plan.arms.items():
         arm = states.arms[name]
-        away = arm.position - own.initial
-        index = int(np.argmax(np.abs(away)))
-        if abs(away[index]) > tolerance:
-            start = ", ".join(f"{value:.4f}" for value in own.initial)
+        distances = arm.position - arm_plan.initial
+        index = int(np.argmax(np.abs(distances)))
+        if abs(distances[index]) > tolerance:
+            start = ", ".join(f"{value:.4f}" for value in arm_plan.initial)
             return (
-                f"joint {index + 1} of {name} is {away[index]:+.4f} rad from where the trial starts, start_tolerance "
-                f"is {tolerance:g} rad; move the arm to [{start}]"
+                f"joint {index + 1} of {name} is {distances[index]:+.4f} rad from where the trial starts, "
+                f"start_tolerance is {tolerance:g} rad; move the arm to [{start}]"
             )
         if not np.all(np.abs(arm.velocity) <= MAX_REST_SPEED):
             fastest = np.abs(arm.velocity).max()
@@ -211,6 +211,8 @@ def distance_from_scenario(plan: TrialPlan, pose: TrackedPose) -> str:
         pose: Pose of the object, in ``world``.
     """
     nominal = pin.SE3(plan.scene.object.rotation, plan.scene.object.position)
-    there = nominal.actInv(pin.XYZQUATToSE3(pose_values(pose.pose)))
-    distance, angle = (float(np.linalg.norm(part)) for part in (there.translation, pin.log3(there.rotation)))
+    displacement = nominal.actInv(pin.XYZQUATToSE3(pose_values(pose.pose)))
+    distance, angle = (
+        float(np.linalg.norm(part)) for part in (displacement.translation, pin.log3(displacement.rotation))
+    )
     return f"{1e3 * distance:.1f} mm and {np.degrees(angle):.1f} deg from its place in the scenario"

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rehearsal: the cell arms, runs and leaves a trial against a stand-in of a robot's driver, and margins are measured.
+"""A rehearsal: the cell runs a whole trial with a simulated driver, and the margins to all limits are measured.
 
-The code that a robot meets is the real one: :class:`~impact_rs_trials.cell.arming.Arming`,
+The code of the cell is the code that runs on a robot: :class:`~impact_rs_trials.cell.arming.Arming`,
 :class:`~impact_rs_trials.cell.cell_trial.CellTrial`, :class:`~impact_rs_trials.cell.effort_arms.EffortArms`,
 :class:`~impact_rs_trials.cell.watchdog.Watchdog` and the controller, with serialized messages between them. Driver,
 wires and time are simulated: time passes event by event, so that a rehearsal is the same on a slow machine, and a state
-or a torque is late by exactly the latency of the driver's profile. The middleware, ros2_control and a kernel that keeps
-time are not part of it.
+or a torque is late by exactly the latency of the driver's profile. The middleware, ros2_control and a real-time kernel
+are not part of it.
 
-A robot whose external torque or force passes a threshold of its reflexes stops itself, as its driver says: it brakes,
-takes no more torques, and its states end where they do so with that driver.
+A robot whose external torque or force passes a threshold of its reflexes stops itself: it brakes, takes no more
+torques, and publishes no more states if its driver does so (``states_end``).
 
 The watchdog stands between cell and driver, as on the robot. In a second run the cell falls silent just before the hit,
 as after ``kill -9``, and the watchdog brakes the arms.
@@ -45,14 +45,14 @@ from impact_rs_trials.cell.robot_states import STATES, joint_names
 from impact_rs_trials.cell.watchdog import Watchdog
 from impact_rs_trials.checked_bound import CheckedBound
 
-DRIVER_CLOCK_START_S = 1_700_000_000  # of the driver
+DRIVER_CLOCK_START_S = 1_700_000_000  # time of the driver's clock at the start, since 1970
 TIME = "builtin_interfaces/msg/Time"
 NOISE_DURATION_S = 8.0  # of simulated time, for which the plant draws its noise
-CONTROLLER_TIME_S = 0.0003  # for one torque; assumed
+CONTROLLER_TIME_S = 0.0003  # computing time for one torque; assumed
 WATCHDOG_POLL_S = 0.002
 WATCHDOG_HOP_S = 0.0003  # added to the path of a torque; measured by benchmarks/timing/watchdog_hop.py
-SILENT_BEFORE_IMPACT_S = 0.02  # before the nominal impact, when the cell falls silent
-MAX_STOPPING_S = 1.5  # until the arms rest after that; as in the test of the watchdog node
+SILENT_BEFORE_IMPACT_S = 0.02  # from the cell's last torque to the nominal impact
+MAX_STOPPING_S = 1.5  # from that silence until the arms rest; as in the test of the watchdog node
 MAX_SETTLING_S = 1.0  # until the arms rest after a trial
 
 
@@ -65,9 +65,9 @@ class Checklist:
         log: Lines that the cell would log, and events.
         margins: The checklist.
         unknown: Omitted checks, with reasons.
-        blocking: Why the cell cannot run with this driver as it is released.
-        stopped: Why the robot stopped itself in the trial; empty: it did not.
-        failure: Why the trial was not armed or ended early; empty: it ran to its end.
+        blocking: Reasons why the cell cannot run with the released version of this driver.
+        stopped: Reason why the robot stopped itself in the trial; empty: it did not.
+        failure: Reason why the trial was not armed or ended early; empty: it ran to its end.
     """
 
     driver: str
@@ -80,8 +80,8 @@ class Checklist:
 
     @property
     def objections(self) -> list[str]:
-        """Why the trial must not run on the robot."""
-        beyond = [one.name for one in self.margins if not one.holds]
+        """Reasons why the trial must not run on the robot."""
+        beyond = [bound.name for bound in self.margins if not bound.holds]
         return [
             *self.blocking,
             *([f"the robot stopped itself: {self.stopped}"] if self.stopped else []),
@@ -104,7 +104,7 @@ class Checklist:
         return "rehearsal passed"
 
     def to_json(self) -> dict[str, object]:
-        """As JSON."""
+        """The result as JSON."""
         return {
             "driver": self.driver,
             "passed": self.passed,
@@ -113,7 +113,7 @@ class Checklist:
             "stopped": self.stopped,
             "failure": self.failure,
             "log": self.log,
-            "margins": [one.to_json() for one in self.margins],
+            "margins": [bound.to_json() for bound in self.margins],
             "not_checked": self.unknown,
         }
 
@@ -203,7 +203,7 @@ class VirtualOutbox:
 
     def _answer(self, tick: int, measured: Mapping[str, ArmMeasurement]) -> None:
         for arm, command in self._controller.update(tick, dict(measured)).items():
-            self._inbox.waiting.append((topics.joint_command(arm), self._streams[arm].one(tick, command)))
+            self._inbox.waiting.append((topics.joint_command(arm), self._streams[arm].serialized(tick, command)))
 
     def repeat(self, topic: str, data: bytes) -> None:
         """Nothing gets lost here."""
@@ -251,9 +251,9 @@ class ExternalTorque:
 class StandIn:
     """A driver with effort controllers, and the robot behind it, which Bullet moves.
 
-    Its brakes are on until it is sent torques; then it steps once a period, with the last torque that has come. Where
-    an estimate passes a threshold of the reflexes it stops itself: all arms brake as :func:`holding_torque` does (how
-    the robot brakes is not published), torques that come are ignored, and states end if they do so with this driver.
+    The brakes are on until the first torques come; then the robot steps once a period, with the newest torque. If an
+    estimate passes a threshold of the reflexes, the robot stops itself: all arms brake with :func:`holding_torque` (the
+    robot's own brake is not published), further torques are ignored, and states end if the driver's do.
 
     Args:
         plan: The trial; the arms begin at its start.
@@ -272,26 +272,26 @@ class StandIn:
         scene, self.profile, self.clock = plan.scene, profile, clock
         self.models, timing = scene.models, scene.scenario.timing
         self.period = timing.control_period if profile.period is None else profile.period
-        lasting = scene.scenario.model_copy(
+        long_scenario = scene.scenario.model_copy(
             update={"timing": timing.model_copy(update={"duration": NOISE_DURATION_S, "control_period": self.period})}
         )
         initial = {name: arm.initial for name, arm in plan.arms.items()}
-        self.plant = Plant.for_trial(lasting, scene.physics, initial, scene.object, seed)
+        self.plant = Plant.for_trial(long_scenario, scene.physics, initial, scene.object, seed)
         self.joints = joint_names(
             profile.joints_of(plan.arms), {arm: model.joint_count for arm, model in scene.models.items()}
         )
         self.listeners: list[Callable[[bytes], None]] = []
-        self.seen: list[Callable[[], None]] = []
+        self.observers: list[Callable[[], None]] = []
         self.commands: dict[str, Array] = {}
         self.error = ""
         self.reflexes = reflexes
-        self._motor_inertia = {arm: own.motor_inertia_reduced for arm, own in scene.physics.arms.items()}
+        self._motor_inertia = {arm: physics.motor_inertia_reduced for arm, physics in scene.physics.arms.items()}
         self.external = {
             arm: ExternalTorque(model, reflexes[arm].observer_gain, self.period) for arm, model in self.models.items()
         }
         types = RosbagsTypes().type
         self._joint_state, self._header, self._time = map(types, (topics.JOINT_STATE, "std_msgs/msg/Header", TIME))
-        self._held: dict[str, Array] = {}
+        self._applied: dict[str, Array] = {}
         self._next = 0.0
         self.measured: dict[str, ArmMeasurement] = self.plant.measure().arms
         self.rates: dict[str, Array] = {arm: np.zeros(model.joint_count) for arm, model in self.models.items()}
@@ -299,11 +299,11 @@ class StandIn:
 
     @property
     def at_rest(self) -> bool:
-        """Whether all joints are slower than ``REST``."""
-        return all(np.abs(one.velocity).max() <= MAX_REST_SPEED for one in self.measured.values())
+        """Whether all joints are slower than ``MAX_REST_SPEED``."""
+        return all(np.abs(measured.velocity).max() <= MAX_REST_SPEED for measured in self.measured.values())
 
     def command(self, arm: str, torque: Array) -> None:
-        """A torque is on its way to the effort controller of an arm."""
+        """Send a torque to the effort controller of an arm; it arrives after the latency."""
         sent = torque.copy()
 
         def arrives() -> None:
@@ -312,42 +312,42 @@ class StandIn:
         self.clock.at(self.clock.time + self.profile.command_latency, arrives)
 
     def _tick(self) -> None:
-        """A period ends: the robot moves on with the torque it had, and its state is published."""
-        if self.error or len(self._held) == len(self.models):
+        """End a period: the robot has moved with the previous torque, and its state is published."""
+        if self.error or len(self._applied) == len(self.models):
             self.plant.step({arm: self._torque(arm) for arm in self.models})
         for arm, torque in self.commands.items() if not self.error else ():
-            if arm in self._held:
-                self.rates[arm] = np.abs(torque - self._held[arm]) / self.period
-            self._held[arm] = torque
+            if arm in self._applied:
+                self.rates[arm] = np.abs(torque - self._applied[arm]) / self.period
+            self._applied[arm] = torque
         self.measured = self.plant.measure().arms
         for arm, observer in self.external.items():
             observer.update(self.measured[arm])
             self.error = self.error or self._reflex(arm)
-        for see in self.seen:
-            see()
+        for observe in self.observers:
+            observe()
         if not (self.error and self.profile.states_end):
             self._publish()
         self._next += self.period
         self.clock.at(self._next, self._tick)
 
     def _torque(self, arm: str) -> Array:
-        """Torque that acts on an arm: the driver's, or the torque of the robot's own brake."""
+        """Torque on an arm ``(n,)`` [N m]: of the driver, or of the robot's own brake."""
         model, measured = self.models[arm], self.measured[arm]
         if self.error:
             return holding_torque(model, self._motor_inertia[arm], measured.position, measured.velocity)
         gravity = model.gravity_torque(measured.position) if self.profile.adds_gravity else 0.0
-        return np.asarray(self._held[arm] + gravity)
+        return np.asarray(self._applied[arm] + gravity)
 
     def _reflex(self, arm: str) -> str:
-        """Why an arm stops itself now; empty: it does not."""
-        own, observer, when = self.reflexes[arm], self.external[arm], f"at {self.clock.time:.3f} s"
-        if own.external_torque_Nm is not None:
-            for joint in np.flatnonzero(np.abs(observer.torque) > np.array(own.external_torque_Nm)):
+        """Reason why an arm stops itself now; empty: it does not."""
+        reflexes, observer, when = self.reflexes[arm], self.external[arm], f"at {self.clock.time:.3f} s"
+        if reflexes.external_torque_Nm is not None:
+            for joint in np.flatnonzero(np.abs(observer.torque) > np.array(reflexes.external_torque_Nm)):
                 unit = self.models[arm].facts.units[joint].effort
-                torque, limit = abs(observer.torque[joint]), own.external_torque_Nm[joint]
+                torque, limit = abs(observer.torque[joint]), reflexes.external_torque_Nm[joint]
                 return f"{arm}, external torque of joint {joint + 1}: {torque:.4g} {unit}, threshold {limit:g}, {when}"
-        if own.external_force_N is not None and observer.force > own.external_force_N:
-            return f"{arm}, external force: {observer.force:.4g} N, threshold {own.external_force_N:g}, {when}"
+        if reflexes.external_force_N is not None and observer.force > reflexes.external_force_N:
+            return f"{arm}, external force: {observer.force:.4g} N, threshold {reflexes.external_force_N:g}, {when}"
         return ""
 
     def _publish(self) -> None:
@@ -356,9 +356,9 @@ class StandIn:
         message = self._joint_state(
             header=self._header(stamp=self._time(*divmod(self.clock.now(), 10**9)), frame_id=""),
             name=[name for names in self.joints.values() for name in names],
-            position=np.concatenate([one.position for one in measured]),
-            velocity=np.concatenate([one.velocity for one in measured]),
-            effort=np.concatenate([one.torque for one in measured]),
+            position=np.concatenate([state.position for state in measured]),
+            velocity=np.concatenate([state.velocity for state in measured]),
+            effort=np.concatenate([state.torque for state in measured]),
         )
         data = bytes(typestore().serialize_cdr(message, topics.JOINT_STATE))
         for listener in self.listeners:
@@ -371,13 +371,13 @@ class _Extremes:
     def __init__(self, stand_in: StandIn) -> None:
         self._robot = stand_in
         self.largest: dict[tuple[str, str], tuple[Array, Array]] = {}
-        stand_in.seen.append(self._see)
+        stand_in.observers.append(self._observe)
 
-    def _see(self) -> None:
+    def _observe(self) -> None:
         for arm, measured in self._robot.measured.items():
             model, observer = self._robot.models[arm], self._robot.external[arm]
             distance = np.minimum(measured.position - model.position_min, model.position_max - measured.position)
-            for what, values in (
+            for quantity, values in (
                 ("torque", np.abs(measured.torque)),
                 ("velocity", np.abs(measured.velocity)),
                 ("rate", self._robot.rates[arm]),
@@ -385,20 +385,20 @@ class _Extremes:
                 ("external", np.abs(observer.torque)),
                 ("force", np.array([observer.force])),
             ):
-                known, when = self.largest.setdefault(
-                    (arm, what), (np.full(values.size, -np.inf), np.zeros(values.size))
+                values_so_far, when = self.largest.setdefault(
+                    (arm, quantity), (np.full(values.size, -np.inf), np.zeros(values.size))
                 )
-                higher = values > known
-                known[higher], when[higher] = values[higher], self._robot.clock.time
+                higher = values > values_so_far
+                values_so_far[higher], when[higher] = values[higher], self._robot.clock.time
 
 
 def rehearse(
     plan: TrialPlan,
     profile: DriverProfile,
     reflexes: Mapping[str, Reflexes],
-    given: Mapping[str, Mapping[str, Any]],
+    parameters: Mapping[str, Mapping[str, Any]],
     seed: int = 0,
-    say: Callable[[str], None] = lambda line: None,
+    report: Callable[[str], None] = lambda line: None,
 ) -> Checklist:
     """Rehearse a trial; a failure of the trial is part of the result.
 
@@ -406,27 +406,27 @@ def rehearse(
         plan: The trial.
         profile: The driver.
         reflexes: Thresholds of the robot's own reflexes, by arm.
-        given: Values of all parameters of ``cell`` and ``watchdog``.
+        parameters: Values of all parameters of ``cell`` and ``watchdog``.
         seed: Seed of noise and scatter.
-        say: Called with a line about the present step.
+        report: Called with a line about the current step.
     """
-    found = Checklist(profile.name, blocking=profile.blocking)
-    if given["cell"]["mocap"]:
-        found.unknown.append("mocap is true: poses of the object from motion capture are not rehearsed")
+    checklist = Checklist(profile.name, blocking=profile.blocking)
+    if parameters["cell"]["mocap"]:
+        checklist.unknown.append("mocap is true: poses of the object from motion capture are not rehearsed")
     for name, arm in plan.arms.items():
-        found.log.append(f"{name} starts at [{', '.join(f'{value:.4f}' for value in arm.initial)}]")
-    say("arming and trial")
-    _rehearse_trial(_Cell(plan, profile, reflexes, seed, given), found)
-    if not given["cell"]["watchdog"]:
-        found.unknown.append("watchdog is false: nothing brakes the arms when the cell dies")
-    elif found.stopped or not found.failure:
-        say("the cell dies before the hit")
-        _rehearse_death(_Cell(plan, profile, reflexes, seed, given), found)
-    return found
+        checklist.log.append(f"{name} starts at [{', '.join(f'{value:.4f}' for value in arm.initial)}]")
+    report("arming and trial")
+    _rehearse_trial(_Cell(plan, profile, reflexes, seed, parameters), checklist)
+    if not parameters["cell"]["watchdog"]:
+        checklist.unknown.append("watchdog is false: nothing brakes the arms when the cell dies")
+    elif checklist.stopped or not checklist.failure:
+        report("the cell dies before the hit")
+        _rehearse_death(_Cell(plan, profile, reflexes, seed, parameters), checklist)
+    return checklist
 
 
 class _Cell:
-    """The cell, armed, and its watchdog, at a stand-in."""
+    """Cell and watchdog connected to a stand-in."""
 
     def __init__(
         self,
@@ -434,16 +434,16 @@ class _Cell:
         profile: DriverProfile,
         reflexes: Mapping[str, Reflexes],
         seed: int,
-        given: Mapping[str, Mapping[str, Any]],
+        parameters: Mapping[str, Mapping[str, Any]],
     ) -> None:
         self.plan, self.clock = plan, VirtualTime()
         self.robot = StandIn(plan, profile, reflexes, self.clock, seed)
         self.inbox = VirtualInbox(self.clock)
         self.outbox = VirtualOutbox(plan, self.clock, self.inbox)
-        self.parameters = given["cell"]
+        self.parameters = parameters["cell"]
         self.arms = self._arms(self._send, self.parameters)
         self.robot.listeners.append(lambda data: self.inbox.waiting.append((STATES, data)))
-        self.watchdog = self._watch(given["watchdog"]) if self.parameters["watchdog"] else None
+        self.watchdog = self._watch(parameters["watchdog"]) if self.parameters["watchdog"] else None
         self.alive = True
 
     def _arms(self, send: Callable[[str, Array], None], parameters: Mapping[str, Any]) -> EffortArms:
@@ -458,32 +458,32 @@ class _Cell:
         sent = torque.copy()
         self.clock.at(self.clock.time + WATCHDOG_HOP_S, lambda: watchdog.heard(arm, sent, self.clock.steady()))
 
-    def _watch(self, own: Mapping[str, Any]) -> Watchdog:
+    def _watch(self, parameters: Mapping[str, Any]) -> Watchdog:
         """A watchdog between the cell and the robot."""
-        watchdog = Watchdog(self._arms(self.robot.command, own), own["command_timeout"])
+        watchdog = Watchdog(self._arms(self.robot.command, parameters), parameters["command_timeout"])
         self.robot.listeners.append(lambda data: _read(watchdog, data))
 
-        def look() -> None:
+        def poll() -> None:
             watchdog.look(self.clock.steady())
             if watchdog.braking:
                 watchdog.arms.rest()
-            self.clock.at(self.clock.time + WATCHDOG_POLL_S, look)
+            self.clock.at(self.clock.time + WATCHDOG_POLL_S, poll)
 
-        self.clock.at(0.0, look)
+        self.clock.at(0.0, poll)
         return watchdog
 
     def arm(self) -> str:
-        """Arm as the node does; returns the result.
+        """Arm like the node; returns the result in one line.
 
         Raises:
-            InputError: It is not armed.
+            InputError: The robot cannot be armed.
         """
         limits = ArmingLimits(self.parameters["start_tolerance"], self.parameters["arm_jitter_limit"])
         arming = Arming(self.plan, self.arms, None, self.inbox, limits, None, self.clock)
         return arming.look() + arming.hold()
 
     def trial(self) -> CellTrial:
-        """The trial, begun."""
+        """A new trial, begun."""
         names = ("state_timeout", "answer_timeout", "late_torque_share", "start_tolerance", "start_delay")
         limits = TrialLimits(**{name: self.parameters[name] for name in names})
         maker = MessageMaker(RosbagsTypes(), self.plan)
@@ -496,30 +496,30 @@ def _read(watchdog: Watchdog, data: bytes) -> None:
     watchdog.arms.states.read(data)
 
 
-def _rehearse_trial(cell: _Cell, found: Checklist) -> None:
+def _rehearse_trial(cell: _Cell, checklist: Checklist) -> None:
     """Arm, run the trial to its end, and leave it."""
     extremes = _Extremes(cell.robot)
     try:
-        found.log.append(f"armed: {cell.arm()}")
+        checklist.log.append(f"armed: {cell.arm()}")
         trial = cell.trial()
         while not trial.over:
             trial.work(cell.clock.time + 0.1)
-        found.failure = trial.failure
+        checklist.failure = trial.failure
         if cell.robot.error:
-            found.log.append(_stopped_words(cell.robot, trial))
+            checklist.log.append(_stopped_words(cell.robot, trial))
         ended = cell.clock.time
         while not cell.arms.held and cell.clock.time < ended + MAX_SETTLING_S:
             rest_until(cell.arms, cell.inbox, cell.clock.time + cell.robot.period, cell.clock)
         if cell.arms.held:
-            rest = f"the arms rest {cell.clock.time - ended:.2f} s later"
+            rest_words = f"the arms rest {cell.clock.time - ended:.2f} s later"
         elif cell.robot.error and cell.robot.at_rest:
-            rest = "the robot brought the arms to rest, which the cell did not see"
+            rest_words = "the robot brought the arms to rest, which the cell did not see"
         else:
-            rest = "the arms did not come to rest"
-        found.log.append(f"trial over: {trial.failure or trial.end()}; {rest}")
-        found.log.append(f"{cell.arms.limited} torques were spread over several periods, as torque_rate_limit asks")
+            rest_words = "the arms did not come to rest"
+        checklist.log.append(f"trial over: {trial.failure or trial.end()}; {rest_words}")
+        checklist.log.append(f"{cell.arms.limited} torques were spread over several periods, as torque_rate_limit asks")
         _, status = trial.status()
-        found.margins += [
+        checklist.margins += [
             CheckedBound("age of a state", cell.arms.states.oldest, cell.parameters["state_timeout"], "s", ""),
             CheckedBound(
                 "answer of the controller", float(str(status["slowest_answer [s]"])),
@@ -527,49 +527,53 @@ def _rehearse_trial(cell: _Cell, found: Checklist) -> None:
             ),
         ]  # fmt: skip
         if not cell.robot.error:
-            found.margins.append(CheckedBound("rest after the trial", cell.clock.time - ended, MAX_SETTLING_S, "s", ""))
+            checklist.margins.append(
+                CheckedBound("rest after the trial", cell.clock.time - ended, MAX_SETTLING_S, "s", "")
+            )
     except InputError as error:
-        found.failure = str(error)
-        found.log.append(f"refused: {error}")
+        checklist.failure = str(error)
+        checklist.log.append(f"refused: {error}")
     finally:
-        found.stopped = cell.robot.error
+        checklist.stopped = cell.robot.error
         cell.robot.plant.close()
-    _margins(cell.robot, extremes, cell.robot.reflexes, found)
+    _margins(cell.robot, extremes, cell.robot.reflexes, checklist)
 
 
-def _margins(robot: StandIn, extremes: _Extremes, reflexes: Mapping[str, Reflexes], found: Checklist) -> None:
-    """Margins of everything that the stand-in has seen."""
+def _margins(robot: StandIn, extremes: _Extremes, reflexes: Mapping[str, Reflexes], checklist: Checklist) -> None:
+    """Add the margins of all extreme values of the stand-in."""
     for arm, model in robot.models.items():
         units, count = model.facts.units, model.joint_count
-        own = reflexes[arm]
+        thresholds = reflexes[arm]
         rows: list[tuple[str, str, Array | None, list[str]]] = [
             ("joint torque", "torque", model.torque_max, [unit.effort for unit in units]),
             ("torque rate", "rate", np.full(count, robot.profile.torque_rate), [f"{unit.effort}/s" for unit in units]),
             ("joint velocity", "velocity", model.velocity_max, [unit.velocity for unit in units]),
             (
                 "external joint torque", "external",
-                None if own.external_torque_Nm is None else np.array(own.external_torque_Nm),
+                None if thresholds.external_torque_Nm is None else np.array(thresholds.external_torque_Nm),
                 [unit.effort for unit in units],
             ),
             (
                 "external force",
                 "force",
-                None if own.external_force_N is None else np.array([own.external_force_N]),
+                None if thresholds.external_force_N is None else np.array([thresholds.external_force_N]),
                 ["N"],
             ),
         ]  # fmt: skip
-        for name, what, bound, unit in rows:
-            if (arm, what) not in extremes.largest:
+        for name, quantity, bound, unit in rows:
+            if (arm, quantity) not in extremes.largest:
                 continue
-            values, when = extremes.largest[arm, what]
+            values, when = extremes.largest[arm, quantity]
             if bound is None:
                 worst = int(np.argmax(values))
-                found.unknown.append(f"{arm} {name}: up to {values[worst]:.4g} {unit[worst]}, no threshold is known")
+                checklist.unknown.append(
+                    f"{arm} {name}: up to {values[worst]:.4g} {unit[worst]}, no threshold is known"
+                )
                 continue
             worst = int(np.argmax(values / bound))
-            joint = "" if what == "force" else f"joint {worst + 1}, "
+            joint = "" if quantity == "force" else f"joint {worst + 1}, "
             where = f"{joint}at {when[worst]:.3f} s"
-            found.margins.append(
+            checklist.margins.append(
                 CheckedBound(f"{arm} {name}", float(values[worst]), float(bound[worst]), unit[worst], where)
             )
         values, when = extremes.largest.get((arm, "distance"), (np.zeros(0), np.zeros(0)))
@@ -579,7 +583,7 @@ def _margins(robot: StandIn, extremes: _Extremes, reflexes: Mapping[str, Reflexe
             margin = CheckedBound(
                 f"{arm} distance to joint limits", -float(values[worst]), 0.0, units[worst].position, where, True
             )
-            found.margins.append(margin)
+            checklist.margins.append(margin)
 
 
 def _stopped_words(robot: StandIn, trial: CellTrial) -> str:
@@ -589,33 +593,33 @@ def _stopped_words(robot: StandIn, trial: CellTrial) -> str:
     return f"the robot stopped itself ({robot.error}); {states}; {noticed}"
 
 
-def _rehearse_death(cell: _Cell, found: Checklist) -> None:
+def _rehearse_death(cell: _Cell, checklist: Checklist) -> None:
     """The cell falls silent before the hit; the watchdog brakes the arms."""
     plan = cell.plan
     try:
         cell.arm()
         trial = cell.trial()
-        dies = round(1e9 * (plan.scene.scenario.timing.nominal_impact - SILENT_BEFORE_IMPACT_S))
-        while not trial.over and trial.now < dies:
+        silent_from = round(1e9 * (plan.scene.scenario.timing.nominal_impact - SILENT_BEFORE_IMPACT_S))
+        while not trial.over and trial.now < silent_from:
             trial.work(cell.clock.time + cell.robot.period)
         cell.alive = False
         died = cell.clock.time
-        fastest = max(float(np.abs(one.velocity).max()) for one in cell.robot.measured.values())
+        fastest = max(float(np.abs(state.velocity).max()) for state in cell.robot.measured.values())
         rested = died
         while cell.clock.time < died + MAX_STOPPING_S + 0.5:
             cell.inbox.wait(cell.robot.period)
             cell.inbox.waiting.clear()
             if not cell.robot.at_rest:
                 rested = cell.clock.time
-        does = "brakes" if cell.watchdog is not None and cell.watchdog.braking else "does nothing"
-        found.log.append(
-            f"cell silent at {fastest:.2f} rad/s: the watchdog {does}; the arms rest after {rested - died:.2f} s"
+        reaction = "brakes" if cell.watchdog is not None and cell.watchdog.braking else "does nothing"
+        checklist.log.append(
+            f"cell silent at {fastest:.2f} rad/s: the watchdog {reaction}; the arms rest after {rested - died:.2f} s"
             + (f"; the robot stopped itself ({cell.robot.error})" if cell.robot.error else "")
         )
-        found.margins.append(
+        checklist.margins.append(
             CheckedBound("time to stop when the cell dies", rested - died, MAX_STOPPING_S, "s", "by the watchdog")
         )
     except InputError as error:  # a robot that stops itself while it is armed
-        found.log.append(f"with a watchdog: refused: {error}")
+        checklist.log.append(f"with a watchdog: refused: {error}")
     finally:
         cell.robot.plant.close()

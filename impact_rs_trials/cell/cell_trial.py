@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """One trial of real arms: every usable state of the robot is a tick, every torque that is in time goes to the robot.
 
-The time of tick 0 is chosen ahead, because states, torques and the bag have it in their stamps, which are ROS time:
-``start_delay`` after the first state that the controller is sent. Until then the arms are held, so this state stands
-for the one of tick 0. The controller answers it; its torque is sent when the robot's states reach that time.
+Tick 0 is ``start_delay`` after the first state that is sent to the controller. Its time is fixed in advance, because
+it is the origin of the stamps (ROS time) of states, torques and bag. Until then the arms are held, so that the first
+state represents tick 0. The controller answers it; the torque is sent when the robot's states reach the time of tick 0.
 
-A state that is not usable, a torque that is late or beyond a limit, silence of either, and an arm that rests away from
-its references, as after a stop of its own, end the trial with the reason; from then on the arms are braked and held
+The trial ends with a reason if a state is not usable, a torque is late or beyond a limit, states or torques stop
+coming, or an arm rests away from its references (it has stopped itself). From then on the arms are braked and held
 (:meth:`impact_rs_trials.cell.effort_arms.EffortArms.rest`).
 """
 
@@ -34,9 +34,9 @@ from impact_rs_trials.lockstep.lockstep_trial import LeadingTrial
 from impact_rs_trials.lockstep.wires import Incoming, Outgoing
 
 REPEAT_S = 0.25  # until the first state is sent to the controller again
-LATE_WINDOW_TICKS = 100  # the last ones, for the share of late torques
-MAX_REST_ERROR_M = 0.03  # from both references; an arm that obeys does not rest beyond it
-MAX_REST_AWAY_S = 0.1  # at rest so far from the references
+LATE_WINDOW_TICKS = 100  # newest ticks, of which the share of late torques is computed
+MAX_REST_ERROR_M = 0.03  # from both references; an arm under control does not rest farther away
+MAX_REST_AWAY_S = 0.1  # at rest beyond that distance
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class TrialLimits:
     """Limits that end a trial; the node's parameters of these names.
 
     Attributes:
-        state_timeout: A state that is older, or did not come for so long [s].
-        answer_timeout: A torque that takes longer [s].
-        late_torque_share: A larger share of the last ticks whose torque came after the next state, or never.
-        start_tolerance: Distance of a joint from the start of the trial before it is led [rad].
-        start_delay: From the first state for the controller to trial time 0 [s]; it has to answer within.
+        state_timeout: Largest age of a state, and largest time without a state [s].
+        answer_timeout: Largest time until the torque for a state comes [s].
+        late_torque_share: Largest share of the last ticks whose torque came after the next state, or never [-].
+        start_tolerance: Largest distance of a joint from the start of the trial before tick 0 [rad].
+        start_delay: Time from the first state for the controller to trial time 0, within which it has to answer [s].
     """
 
     state_timeout: float
@@ -95,44 +95,44 @@ class CellTrial(LeadingTrial):
         self._arm_of = {topics.joint_command(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names, ("effort",)) for arm, names in self._maker.joints.items()}
         self._origin: int | None = None  # robot time of tick 0 [ns]; None: no state came yet
-        self._led = False  # whether the robot is sent torques of the controller
+        self._controlled = False  # whether torques of the controller are sent to the robot
         self._tick = 0
         self._first: dict[str, bytes] = {}  # the messages of tick 0, by topic
-        self._first_sent = 0.0  # when
-        self._heard = clock()  # when the last usable state came
-        self._asked: dict[int, float] = {}  # times of states sent to the controller, by unanswered tick
+        self._first_sent = 0.0  # time at which they were sent [s]
+        self._last_state_at = clock()  # arrival of the last usable state [s]
+        self._sent_at: dict[int, float] = {}  # time at which a state was sent to the controller, by unanswered tick [s]
         self._answered = dict.fromkeys(plan.arms, -1)
         self._torques: dict[str, Array] = {}  # the last answer of each arm
         self._late: deque[bool] = deque(maxlen=LATE_WINDOW_TICKS)
-        self._astray: dict[str, int] = {}  # first tick of an arm at rest away from its references
-        self._lost = self._poses = 0
-        self._slowest = 0.0  # s
+        self._away_since: dict[str, int] = {}  # first tick of an arm at rest away from its references
+        self._missed_ticks = self._poses = 0
+        self._slowest_answer = 0.0  # s
 
     def begin(self) -> None:
         self.begun = True
-        self._heard = self._first_sent = self._clock()
-        self._asked = {0: self._heard}
+        self._last_state_at = self._first_sent = self._clock()
+        self._sent_at = {0: self._last_state_at}
 
     def work(self, until: float) -> None:
-        while not self.over and (left := until - self._clock()) > 0.0:
-            self._inbox.wait(min(left, self._limits.state_timeout, self._limits.answer_timeout))
+        while not self.over and (remaining := until - self._clock()) > 0.0:
+            self._inbox.wait(min(remaining, self._limits.state_timeout, self._limits.answer_timeout))
             for topic, data in self._inbox.take():
                 if topic == STATES:
                     before = self.arms.states.unreadable
-                    self._measured(self.arms.states.read(data))
+                    self._take_states(self.arms.states.read(data))
                     self.unreadable += self.arms.states.unreadable - before
                 elif topic == MOCAP:
-                    self._seen(data)
+                    self._forward_pose(data)
                 else:
-                    self._commanded(self._arm_of[topic], data)
+                    self._take_torque(self._arm_of[topic], data)
                 if self.over:
                     return
-            self._look_at_the_clock()
+            self._check_timeouts()
             if self._outbox.due:
                 self._outbox.flush()
 
     def stop(self, failure: str) -> None:
-        """End before the end, and brake."""
+        """End the trial early, and brake."""
         super().stop(failure)
         self.arms.rest()
 
@@ -140,12 +140,12 @@ class CellTrial(LeadingTrial):
         return "OK"
 
     def status(self) -> tuple[str, dict[str, object]]:
-        line = self.failure or (f"{self._lost} states without a torque" if self._lost else "ok")
+        line = self.failure or (f"{self._missed_ticks} states without a torque" if self._missed_ticks else "ok")
         return line, {
             **self.tick_statistics(),
             "oldest_state [s]": f"{self.arms.states.oldest:.6f}",
-            "slowest_answer [s]": f"{self._slowest:.6f}",
-            "missed_ticks": self._lost,
+            "slowest_answer [s]": f"{self._slowest_answer:.6f}",
+            "missed_ticks": self._missed_ticks,
             "late_torques": sum(self._late),
             "rate_limited_torques": self.arms.limited,
         }
@@ -154,19 +154,19 @@ class CellTrial(LeadingTrial):
     def _time(self) -> str:
         return f"at t = {1e-9 * self.now:.3f} s"
 
-    def _measured(self, states: ArmStates | None) -> None:
+    def _take_states(self, states: ArmStates | None) -> None:
         """Take a state of the robot, and ask the controller."""
         if states is None:
             return
         if states.complaint:
             self.stop(f"{self._time}: {states.complaint}")
             return
-        self._heard = now = self._clock()
+        self._last_state_at = now = self._clock()
         if self._origin is None:
             self._origin = self._maker.origin_ns = states.stamp + round(1e9 * self._limits.start_delay)
             self._outbox.begin(self._origin)
         tick = round((states.stamp - self._origin) / self._period_ns)
-        if not self._led and not self._start(tick, states, now):
+        if not self._controlled and not self._start(tick, states, now):
             return
         if tick <= self._tick:
             return
@@ -179,25 +179,25 @@ class CellTrial(LeadingTrial):
             return
         if self._too_many_late(late=min(self._answered.values()) < self._tick):
             return
-        if complaint := self._disobedience(tick, states):
+        if complaint := self._not_following(tick, states):
             self.stop(f"{self._time}: {complaint}")
             return
         self._tick, self.now = tick, tick * self._period_ns
-        self._asked[tick] = now
+        self._sent_at[tick] = now
         for arm, measured in states.arms.items():
             self._outbox.now(topics.joint_states(arm), tick, measured)
         self._tick_times.append(self._clock() - now)
 
-    def _disobedience(self, tick: int, states: ArmStates) -> str:
-        """Message about an arm at rest away from its references with and without an impact; empty: not any."""
+    def _not_following(self, tick: int, states: ArmStates) -> str:
+        """Message about an arm at rest away from its ante- and post-impact reference; empty: no such arm."""
         for arm, measured in states.arms.items():
             if (
                 np.abs(measured.velocity).max() > MAX_REST_SPEED
                 or self._distance(arm, measured.position, tick) <= MAX_REST_ERROR_M
             ):
-                self._astray.pop(arm, None)
+                self._away_since.pop(arm, None)
                 continue
-            since = self._astray.setdefault(arm, tick)
+            since = self._away_since.setdefault(arm, tick)
             if (tick - since) * self._period_ns >= 1e9 * MAX_REST_AWAY_S:
                 return (
                     f"{arm} has rested for {MAX_REST_AWAY_S:g} s more than {MAX_REST_ERROR_M:g} m from its "
@@ -206,10 +206,10 @@ class CellTrial(LeadingTrial):
         return ""
 
     def _distance(self, arm: str, position: Array, tick: int) -> float:
-        """From E at joint positions to the nearer one of its references [m]."""
-        plan, place = self._plan.arms[arm], self._plan.scene.models[arm].placement(position).translation
+        """Distance of E from the nearer of its two references [m]."""
+        plan, position_of_pad = self._plan.arms[arm], self._plan.scene.models[arm].placement(position).translation
         paths = plan.ante_position, plan.post_position
-        return min(float(np.linalg.norm(place - path.position[tick])) for path in paths)
+        return min(float(np.linalg.norm(position_of_pad - path.position[tick])) for path in paths)
 
     def _too_many_late(self, late: bool) -> bool:
         """Count torques that came after the next state; end the trial if there are too many."""
@@ -224,15 +224,15 @@ class CellTrial(LeadingTrial):
         return True
 
     def _start(self, tick: int, states: ArmStates, now: float) -> bool:
-        """Hold the arms until tick 0, and send its state until it is answered; returns whether they are led."""
+        """Hold the arms until tick 0, and send its state until it is answered; whether the controller takes over."""
         if complaint := start_complaint(self._plan, states, self._limits.start_tolerance):
             self.stop(complaint)
             return False
         if tick >= 0:
-            if 0 in self._asked:
+            if 0 in self._sent_at:
                 self.stop(f"the controller does not answer the first state within {self._limits.start_delay:g} s")
                 return False
-            self._led = True
+            self._controlled = True
             for arm, torque in self._torques.items():
                 self.arms.command(arm, torque)
             return True
@@ -248,7 +248,7 @@ class CellTrial(LeadingTrial):
                 self._outbox.repeat(topic, data)
         return False
 
-    def _commanded(self, arm: str, data: bytes) -> None:
+    def _take_torque(self, arm: str, data: bytes) -> None:
         """Take a torque of the controller, check it, and send it to the robot."""
         signals = self._readers[arm].read(data)
         if not signals.readable:
@@ -269,18 +269,20 @@ class CellTrial(LeadingTrial):
             self.stop(f"{topics.joint_command(arm)} {self._time}: {complaint}")
             return
         self._answered[arm], self._torques[arm] = tick, torque
-        if self._led:
+        if self._controlled:
             self.arms.command(arm, torque)
-        done = [asked for asked in self._asked if asked <= min(self._answered.values())]
-        for asked in done:
-            took = self._clock() - self._asked.pop(asked)
-            if self._led and asked == tick:
-                self._slowest = max(self._slowest, took)
-                if took > self._limits.answer_timeout:
-                    self._too_slow(took)
+        answered_ticks = [
+            answered_tick for answered_tick in self._sent_at if answered_tick <= min(self._answered.values())
+        ]
+        for answered_tick in answered_ticks:
+            answer_time = self._clock() - self._sent_at.pop(answered_tick)
+            if self._controlled and answered_tick == tick:
+                self._slowest_answer = max(self._slowest_answer, answer_time)
+                if answer_time > self._limits.answer_timeout:
+                    self._too_slow(answer_time)
                     return
-        self._lost += max(0, len(done) - 1)
-        if self._last not in self._asked and self._tick == self._last:
+        self._missed_ticks += max(0, len(answered_ticks) - 1)
+        if self._last not in self._sent_at and self._tick == self._last:
             self._complete()
 
     def _complete(self) -> None:
@@ -289,21 +291,21 @@ class CellTrial(LeadingTrial):
             self.stop("no pose of the object came during the trial, and mocap asks for them: does the tracker see it?")
         self.over = True
 
-    def _too_slow(self, took: float) -> None:
+    def _too_slow(self, answer_time: float) -> None:
         limit = self._limits.answer_timeout
-        self.stop(f"{self._time}: no torque of the controller for {took:.4f} s, answer_timeout is {limit:g} s")
+        self.stop(f"{self._time}: no torque of the controller for {answer_time:.4f} s, answer_timeout is {limit:g} s")
 
-    def _look_at_the_clock(self) -> None:
+    def _check_timeouts(self) -> None:
         """Check for missing messages."""
-        silent, limit = self._clock() - self._heard, self._limits.state_timeout
+        silent, limit = self._clock() - self._last_state_at, self._limits.state_timeout
         if silent > limit:
             self.stop(f"{self._time}: no state of the robot for {silent:.4f} s, state_timeout is {limit:g} s")
-        elif self._asked:
-            waited = self._clock() - next(iter(self._asked.values()))
-            if self._led and waited > self._limits.answer_timeout:
+        elif self._sent_at:
+            waited = self._clock() - next(iter(self._sent_at.values()))
+            if self._controlled and waited > self._limits.answer_timeout:
                 self._too_slow(waited)
 
-    def _seen(self, data: bytes) -> None:
+    def _forward_pose(self, data: bytes) -> None:
         """Forward the pose of the object in the world frame."""
         if self._origin is None or self._mocap is None:
             return

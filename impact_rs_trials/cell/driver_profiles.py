@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drivers of robots as the cell meets them: names, rates, conventions and limits, for rehearsals and for the manual.
+"""Drivers of robots: names, rates, conventions and limits, for rehearsals and for the manual.
 
-Latencies are assumptions: a driver, the cell and the controller on one machine that keeps time. No number here was
-measured on a robot.
+Latencies are assumptions: driver, cell and controller on one real-time machine. No number here was measured on a robot.
 """
 
 from __future__ import annotations
@@ -20,18 +19,18 @@ class DriverProfile:
 
     Attributes:
         name: Name of the profile.
-        robots: Robots of ``config/robots`` that it drives.
+        robots: Robots of ``config/robots`` with this driver.
         joints: Parameter ``joints`` of the cell.
         states: Topic of the joint states.
         commands: Topic of the torques.
-        period: Between two states [s]; None: the scenario's.
-        adds_gravity: Whether it adds the weight of the arm to a commanded torque.
-        torque_rate: Fastest change of a torque that it takes [N m/s].
-        state_latency: From the measurement until the cell has the state [s]; assumed.
-        command_latency: From the cell's torque until the driver has it [s]; assumed.
+        period: Period of the states [s]; None: the period of the scenario.
+        adds_gravity: Whether the driver adds the gravity torque to a commanded torque.
+        torque_rate: Largest rate of a torque that the driver accepts [N m/s].
+        state_latency: Time from the measurement until the cell has the state [s]; assumed.
+        command_latency: Time from the cell's torque until the driver has it [s]; assumed.
         source: Source of the other numbers.
         states_end: Whether joint states end when the robot has stopped itself.
-        blocking: Why the cell cannot run with this driver as it is released; empty: nothing is known.
+        blocking: Reasons why the cell cannot run with the released version of this driver; empty: not known.
     """
 
     name: str
@@ -144,8 +143,8 @@ def profile_of(scenario: Scenario, name: str | None = None) -> DriverProfile:
     """
     if name is None:
         facts = next(iter(scenario.robots.values())).facts
-        known = (profile for profile in PROFILES.values() if facts in profile.robots)
-        return next(known, PROFILES["ros2_control"])
+        matching = (profile for profile in PROFILES.values() if facts in profile.robots)
+        return next(matching, PROFILES["ros2_control"])
     if name not in PROFILES:
         raise InputError(f"no driver {name!r}{did_you_mean(name, PROFILES)}; known drivers: {', '.join(PROFILES)}")
     return PROFILES[name]

@@ -2,8 +2,8 @@
 """Torques for arms behind ros2_control, one effort controller per arm.
 
 A robot that compensates gravity itself (franka_ros2) is sent ``tau - g(q)``, every other one ``tau``. The torque
-changes no faster than the robot allows, in time and not by message. Where no controller leads, :meth:`EffortArms.rest`
-brakes on a fresh state and carries the weight, no more, without one.
+changes no faster than the robot allows; the rate is limited per time, not per message. Without a controller
+:meth:`EffortArms.rest` brakes if the state is fresh, and otherwise compensates gravity only.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ class EffortArms:
 
     Args:
         states: States of the robot, with its models, period and clock.
-        states: States of the robot.
         motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2], by arm.
         adds_gravity: Whether the robot compensates gravity itself.
         rate: Largest rate of a torque [N m/s].
@@ -48,8 +47,7 @@ class EffortArms:
     Attributes:
         states: States of the robot.
         adds_gravity: Whether the robot compensates gravity itself.
-        limited: Number of torques that were changed because they jumped too far.
-        states: States of the robot.
+        limited: Number of torques that were changed by the rate limit.
         held: Whether the last torques may stay: the arms rest, with no more than the holding torque.
     """
 
@@ -68,40 +66,40 @@ class EffortArms:
         self.adds_gravity = adds_gravity
         self._rate = rate
         self._send = send
-        self._sent: dict[str, tuple[float, Array]] = {}  # when [s], and what, by arm
+        self._sent: dict[str, tuple[float, Array]] = {}  # time [s] and torque last sent, by arm
         self._braked: ArmStates | None = None  # last state that the brake answered
 
     def command(self, arm: str, torque: Array) -> None:
-        """Send a controller's torque, ``(n,)`` [N m], with gravity; there must be a state."""
+        """Send a torque of the controller, gravity included, ``(n,)`` [N m]; needs a state of the robot."""
         self.states.commanded[arm] = torque
         self.held = False
         self._braked = None
-        self._set(arm, torque)
+        self._send_torque(arm, torque)
 
-    def pass_on(self, arm: str, wanted: Array) -> bool:
+    def pass_on(self, arm: str, torque: Array) -> bool:
         """Send the torques of another process to the effort controller, ``(n,)`` [N m], limited in rate.
 
         Returns:
-            Whether it was sent; not if there is no state yet, or not one finite torque per joint.
+            Whether the torques were sent: there is a state, and one finite torque per joint.
         """
-        known = self.states.latest is not None and wanted.shape == (self.states.models[arm].joint_count,)
-        if not known or not np.isfinite(wanted).all():
+        valid = self.states.latest is not None and torque.shape == (self.states.models[arm].joint_count,)
+        if not valid or not np.isfinite(torque).all():
             return False
-        self.states.commanded[arm] = wanted
+        self.states.commanded[arm] = torque
         self.held = False
         self._braked = None
-        self._limited(arm, wanted)
+        self._send_limited(arm, torque)
         return True
 
     def continue_from(self, arm: str, sent: Array) -> None:
-        """Another process sent the robot this torque last, ``(n,)`` [N m]: the next one changes it within the rate."""
+        """Start the rate limit at the torque that another process sent last, ``(n,)`` [N m]."""
         if sent.shape == (self.states.models[arm].joint_count,) and np.isfinite(sent).all():
             self._sent[arm] = self.states.clock.steady(), sent
 
     def rest(self) -> None:
-        """Brake and hold on a fresh state, once a state; without one carry the arms' weight and no more.
+        """Brake and hold if the state is fresh, once per state; otherwise compensate gravity only.
 
-        A brake on an old state drives the arm (:mod:`impact_rs_control.fallback`). Without any state nothing is sent.
+        A brake with an old state drives the arm (:mod:`impact_rs_control.fallback`). Without any state nothing is sent.
         """
         self.states.commanded.clear()
         latest = self.states.latest
@@ -118,23 +116,23 @@ class EffortArms:
             if fresh:
                 torque = holding_torque(model, self._motor_inertia[name], arm.position, arm.velocity)
             still = bool(np.all(np.abs(arm.velocity) <= MAX_REST_SPEED))
-            reached.append(self._set(name, torque) and fresh and still)
+            reached.append(self._send_torque(name, torque) and fresh and still)
         self.held = all(reached)
 
-    def _set(self, arm: str, torque: Array) -> bool:
+    def _send_torque(self, arm: str, torque: Array) -> bool:
         """Send a torque with gravity as far as the rate allows; whether all of it could be sent."""
-        return self._limited(arm, torque - self._weight(arm) if self.adds_gravity else torque)
+        return self._send_limited(arm, torque - self._weight(arm) if self.adds_gravity else torque)
 
-    def _limited(self, arm: str, wanted: Array) -> bool:
+    def _send_limited(self, arm: str, torque: Array) -> bool:
         """Send torques to the effort controller, limited in rate; whether they were sent in full."""
         now = self.states.clock.steady()
-        if arm not in self._sent:  # an arm at rest that its weight was carried for
-            self._sent[arm] = now - self.states.period, 0.0 * wanted if self.adds_gravity else self._weight(arm)
-        last, before = self._sent[arm]
-        elapsed = min(max(now - last, 0.0), self.states.period)  # a pause permits no jump
+        if arm not in self._sent:  # an arm at rest with gravity compensated
+            self._sent[arm] = now - self.states.period, 0.0 * torque if self.adds_gravity else self._weight(arm)
+        previous_time, previous = self._sent[arm]
+        elapsed = min(max(now - previous_time, 0.0), self.states.period)  # a pause permits no jump
         largest = self._rate * elapsed
-        sent = rate_limited(wanted, before, largest)
-        reached = bool(np.abs(wanted - before).max() <= largest)
+        sent = rate_limited(torque, previous, largest)
+        reached = bool(np.abs(torque - previous).max() <= largest)
         self.limited += not reached
         self._sent[arm] = now, sent
         self._send(arm, sent)
@@ -182,9 +180,9 @@ def rest_until(arms: EffortArms, inbox: Incoming, until: float, monotonic: Calla
         until: Time of return [s].
         monotonic: A clock that never goes back [s].
     """
-    while (left := until - monotonic()) > 0.0:
-        inbox.wait(min(left, arms.states.period))
+    while (remaining := until - monotonic()) > 0.0:
+        inbox.wait(min(remaining, arms.states.period))
         for topic, data in inbox.take():
             if topic == STATES:
                 arms.states.read(data)
-        arms.rest()  # on the newest state alone: states that waited move the torque no further than time allows
+        arms.rest()  # once, with the newest state: the rate limit counts time, not states

@@ -5,7 +5,7 @@
 
 with T_world_tracker from x y z and roll pitch yaw about fixed axes (REP-103): R = Rz(yaw) Ry(pitch) Rx(roll). It comes
 from a calibration and is constant in a trial. It is therefore a parameter, which the cell publishes on /tf_static, and
-not looked up on /tf, where it could change or be missing while the arm moves; also, pip does not install tf2.
+is not looked up on /tf, where it could change or be missing while the arm moves (and pip does not install tf2).
 """
 
 from __future__ import annotations
@@ -41,10 +41,11 @@ class TrackerPoses:
         self._origin = np.array(placement[:3])
         self._rotation = pin.rpy.rpyToMatrix(*(float(angle) for angle in placement[3:]))
         x, y, z, w = quaternion_of(self._rotation)
-        self._turn = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])  # q: left product by it
+        # Matrix of the quaternion product q_tracker * q, order x y z w.
+        self._left_product = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])
 
     def frames(self, prefix: str) -> list[Frame]:
-        """The tracker's frame for ``/tf_static``, unless it is ``world``; ``prefix`` is that of ``world``."""
+        """The tracker's frame for ``/tf_static``, unless it is ``world``; ``prefix`` precedes ``world``."""
         if self.frame == WORLD:
             return []
         return [Frame(prefix + WORLD, self.frame, pin.SE3(self._rotation, self._origin))]
@@ -52,7 +53,7 @@ class TrackerPoses:
     def read(self, data: bytes) -> TrackedPose | None:
         """A pose in ``world`` with its original timestamp; None: no valid pose, for example of an occluded object.
 
-        Bytes that are not a message give None as well.
+        Bytes that are no message give None, too.
 
         Raises:
             InputError: The pose is not in the frame of the tracker.
@@ -62,15 +63,15 @@ class TrackerPoses:
         except Exception:  # whatever rosbags finds wrong with the bytes
             return None
         if pose.header.frame_id != self.frame:
-            found = pose.header.frame_id
-            raise InputError(f"expected {self.frame}, see mocap_frame", key=f"frame_id of {MOCAP}", value=found)
-        seen = pose_values(pose.pose)
-        position, quaternion = seen[:3], seen[3:]
-        if not (np.isfinite(seen).all() and abs(np.linalg.norm(quaternion) - 1.0) < MAX_NORM_ERROR):
+            frame = pose.header.frame_id
+            raise InputError(f"expected {self.frame}, see mocap_frame", key=f"frame_id of {MOCAP}", value=frame)
+        values = pose_values(pose.pose)
+        position, quaternion = values[:3], values[3:]
+        if not (np.isfinite(values).all() and abs(np.linalg.norm(quaternion) - 1.0) < MAX_NORM_ERROR):
             return None
-        at, turned = pose.pose.position, pose.pose.orientation
-        at.x, at.y, at.z = (self._origin + self._rotation @ position).tolist()
-        turned.x, turned.y, turned.z, turned.w = (self._turn @ quaternion).tolist()
+        point, orientation = pose.pose.position, pose.pose.orientation
+        point.x, point.y, point.z = (self._origin + self._rotation @ position).tolist()
+        orientation.x, orientation.y, orientation.z, orientation.w = (self._left_product @ quaternion).tolist()
         pose.header.frame_id = WORLD
         return pose
 

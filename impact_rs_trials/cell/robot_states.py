@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint states of a robot behind ros2_control: decoded, and judged before anything acts on them.
+"""Joint states of a robot behind ros2_control: decoded, and checked before use.
 
-A state is usable if it is new, fresh, within the limits of the arm, and agrees with the states before it
-(:mod:`impact_rs_control.motion_monitor`). One judge serves arming, trials, the brake and the watchdog, so that none of
-them acts on a state that another one refuses.
+A state is usable if it is new, fresh, within the limits of the arm, and consistent with the states before it
+(:mod:`impact_rs_control.motion_monitor`). Arming, trials, the brake and the watchdog share this check, so that none of
+them uses a state that another refuses.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from impact_rs_trials.bags.joint_signals import FIELDS, joint_signals, names_of
 
 STATES = "/joint_states"  # of joint_state_broadcaster
 MIN_STEP_PERIODS = 0.5  # between the measurements of two states
-RECENT, EXTRA = 100, 10  # messages, and how many of them may repeat a state or come between two
+RECENT, EXTRA = 100, 10  # newest messages; largest number of them that repeat a state or come between two states
 
 
 class Clock(Protocol):
@@ -49,8 +49,8 @@ def joint_names(pattern: str, arms: Mapping[str, int]) -> dict[str, list[str]]:
     """Names that the robot gives the joints of its arms, base to tip.
 
     Args:
-        pattern: With ``{arm}`` and ``{number}``, which counts from 1; or all names of an arm, base to tip, with commas
-            between them, and ``{arm}`` in each where there are several arms.
+        pattern: Name with ``{arm}`` and ``{number}``, which counts from 1; or all names of an arm, base to tip,
+            separated by commas, with ``{arm}`` in each name if there are several arms.
         arms: Number of joints by name of the arm in the scenario.
 
     Raises:
@@ -58,23 +58,24 @@ def joint_names(pattern: str, arms: Mapping[str, int]) -> dict[str, list[str]]:
     """
     joints = {}
     for arm, count in arms.items():
-        own = (
+        arm_names = (
             [name.strip().replace("{arm}", arm) for name in pattern.split(",")] if "," in pattern else [pattern] * count
         )
-        if len(own) != count:
+        if len(arm_names) != count:
             raise InputError(
-                f"{len(own)} names, expected one per joint of {arm} ({count})", key="joints", value=pattern
+                f"{len(arm_names)} names, expected one per joint of {arm} ({count})", key="joints", value=pattern
             )
         joints[arm] = [
-            name.replace("{arm}", arm).replace("{number}", str(number)) for number, name in enumerate(own, start=1)
+            name.replace("{arm}", arm).replace("{number}", str(number))
+            for number, name in enumerate(arm_names, start=1)
         ]
-    names = [name for own in joints.values() for name in own]
+    names = [name for arm_names in joints.values() for name in arm_names]
     if "" in names:
         raise InputError("a name is empty: expected one joint between two commas", key="joints", value=pattern)
     if len(set(names)) < len(names):
-        missing = "{number}" if any(len(set(own)) < len(own) for own in joints.values()) else "{arm}"
-        wanted = f"{missing} in it: {len(names)} joints of {', '.join(arms)} need names of their own"
-        raise InputError(f"expected {wanted}", key="joints", value=pattern)
+        missing = "{number}" if any(len(set(arm_names)) < len(arm_names) for arm_names in joints.values()) else "{arm}"
+        expected = f"{missing} in it: {len(names)} joints of {', '.join(arms)} need names of their own"
+        raise InputError(f"expected {expected}", key="joints", value=pattern)
     return joints
 
 
@@ -84,8 +85,8 @@ class ArmStates:
 
     Attributes:
         stamp: Timestamp on the robot's clock [ns].
-        arms: Measured state by arm; the motor's is not known, and equals the link's.
-        complaint: Why they are not usable, in one line; empty: they are.
+        arms: Measured state by arm; the unknown state of a motor is set to the state of its link.
+        complaint: Reason why the states are not usable, in one line; empty: they are usable.
     """
 
     stamp: int
@@ -94,7 +95,7 @@ class ArmStates:
 
 
 class StateReader:
-    """Picks the joints of some arms out of a ``sensor_msgs/JointState``, which may hold others, in any order.
+    """Reads the joints of some arms from a ``sensor_msgs/JointState``, which may have further joints, in any order.
 
     Args:
         joints: The robot's names of the joints, by arm.
@@ -111,52 +112,54 @@ class StateReader:
         self._count = 0
 
     def read(self, data: bytes) -> ArmStates | None:
-        """The arms' state; None: other joints, such as a gripper's, or not readable, which counts as silence."""
-        found = joint_signals(data)
-        if not found.readable:
+        """The arms' states; None: a message of other joints, such as a gripper's, or not readable (as if lost)."""
+        signals = joint_signals(data)
+        if not signals.readable:
             self.unreadable += 1
             return None
-        if found.names != self._names:
-            names = names_of(found)
-            wanted = [joint for joints in self._joints.values() for joint in joints]
-            missing = [joint for joint in wanted if joint not in names]
-            if len(missing) == len(wanted):
+        if signals.names != self._names:
+            names = names_of(signals)
+            needed = [joint for joints in self._joints.values() for joint in joints]
+            missing = [joint for joint in needed if joint not in names]
+            if len(missing) == len(needed):
                 return None
             if missing:
-                return ArmStates(found.stamp, complaint=f"no {', '.join(missing)} among {', '.join(names)[:200]}")
-            if twice := [joint for joint in wanted if names.count(joint) > 1]:
-                return ArmStates(found.stamp, complaint=f"{twice[0]} is {names.count(twice[0])} times in one message")
+                return ArmStates(signals.stamp, complaint=f"no {', '.join(missing)} among {', '.join(names)[:200]}")
+            if repeated := [joint for joint in needed if names.count(joint) > 1]:
+                return ArmStates(
+                    signals.stamp, complaint=f"{repeated[0]} is {names.count(repeated[0])} times in one message"
+                )
             self._order = {arm: [names.index(joint) for joint in joints] for arm, joints in self._joints.items()}
-            self._names, self._count = found.names, len(names)
-        for name, values in zip(FIELDS, found.values, strict=True):
+            self._names, self._count = signals.names, len(names)
+        for name, values in zip(FIELDS, signals.values, strict=True):
             if values.size != self._count:
-                return ArmStates(found.stamp, complaint=f"{values.size} values of {name}, expected {self._count}")
+                return ArmStates(signals.stamp, complaint=f"{values.size} values of {name}, expected {self._count}")
         arms = {}
         for arm, order in self._order.items():
-            position, velocity, torque = (values[order] for values in found.values)
+            position, velocity, torque = (values[order] for values in signals.values)
             for name, values in zip(FIELDS, (position, velocity, torque), strict=True):
                 for index in np.flatnonzero(~np.isfinite(values)):
                     complaint = f"{name} of {self._joints[arm][index]} is {values[index]}"
-                    return ArmStates(found.stamp, complaint=complaint)
+                    return ArmStates(signals.stamp, complaint=complaint)
             arms[arm] = ArmMeasurement(position, velocity, torque, position, velocity)
-        return ArmStates(found.stamp, arms)
+        return ArmStates(signals.stamp, arms)
 
 
 class RobotStates:
     """The usable states of the robot's arms.
 
     Args:
-        models: By arm.
+        models: Models by arm.
         joints: The robot's names of the joints, by arm.
-        period: Between two states [s].
-        timeout: A state that is older is not usable [s].
+        period: Period of the states [s].
+        timeout: Largest age of a usable state [s].
         clock: Clock of the robot.
 
     Attributes:
         models, joints, period, clock: As above.
         latest: The last usable state; None: not yet.
         commanded: Torque of a controller by arm, with or without gravity, ``(n,)`` [N m]; empty: the arms are held.
-        oldest: Largest age of a state when it came [s].
+        oldest: Largest age of a state on arrival [s].
     """
 
     def __init__(
@@ -177,13 +180,13 @@ class RobotStates:
         self.clock = clock
         self._reader = StateReader(joints)
         self._monitors = {arm: MotionMonitor(model, joints[arm]) for arm, model in models.items()}
-        self._measured = 0.0  # when the last usable state was measured, on the steady clock [s]
+        self._measured = 0.0  # time of measurement of the last usable state, on the steady clock [s]
         self._newest: int | None = None  # stamp [ns]
         self._extra: deque[bool] = deque(maxlen=RECENT)
 
     @property
     def unreadable(self) -> int:
-        """Number of messages that could not be decoded; they count as silence."""
+        """Number of messages that could not be decoded; they are treated as lost."""
         return self._reader.unreadable
 
     @property
@@ -212,10 +215,10 @@ class RobotStates:
         return 1e-9 * (self.clock.now() - states.stamp)
 
     def _is_new(self, states: ArmStates) -> bool:
-        """Whether it was measured a period after the newest one, and is no repetition nor from a second source."""
-        least = MIN_STEP_PERIODS * self.period * 1e9
-        new = self._newest is None or states.stamp - self._newest > least
-        # An old timestamp is late, or of a restarted robot: the next states show which.
+        """Whether a state was measured a period after the newest one: neither a repetition nor from a second source."""
+        min_step = MIN_STEP_PERIODS * self.period * 1e9
+        new = self._newest is None or states.stamp - self._newest > min_step
+        # An old timestamp: a late state, or a restarted robot. The next states show which.
         new = new or (self._newest is not None and self._newest - states.stamp > self._timeout * 1e9)
         self._extra.append(not new)
         if new:

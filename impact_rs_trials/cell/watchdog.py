@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decides when arms that move without a command of the cell are taken over and braked."""
+"""Watchdog: takes over arms that move without commands of the cell, and brakes them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class Watchdog:
 
     Args:
         arms: The arms.
-        timeout: Without a command for so long, arms that move are taken over [s].
+        timeout: Largest time without a command before moving arms are taken over [s].
 
     Attributes:
-        braking: Whether they were taken over.
+        braking: Whether the arms were taken over.
         deposed: Whether the cell bypasses the watchdog, because it forwarded no torque.
     """
 
@@ -26,13 +26,13 @@ class Watchdog:
         self.braking = False
         self.deposed = False
         self._timeout = timeout
-        self._heard: dict[str, float] = {}  # when the last command came [s], by arm
+        self._heard: dict[str, float] = {}  # time of the last command [s], by arm
 
     def heard(self, arm: str, torque: Array | None, now: float) -> None:
-        """A command of the cell came, ``(n,)`` [N m]; it goes to the robot, unless the arms were taken over.
+        """Pass a command of the cell, ``(n,)`` [N m], on to the robot, unless the arms were taken over.
 
-        None: it cannot be read. One without torques says that the cell sends them itself: who had passed torques on
-        sends nothing any more.
+        None: the command cannot be read. An empty command means that the cell now sends its torques to the robot
+        itself, and the watchdog sends nothing any more.
         """
         if torque is not None and not torque.size:
             self.deposed, self.braking = self.deposed or self.commanded, False
@@ -40,24 +40,24 @@ class Watchdog:
             self._heard[arm] = now
 
     def silent(self, now: float) -> bool:
-        """Whether an arm moves that no command has come for."""
+        """Whether arms move although commands are missing for longer than the timeout."""
         if self.braking or self.deposed or not self._heard or self.arms.states.latest is None:
             return False
         speed = max(float(np.abs(arm.velocity).max()) for arm in self.arms.states.latest.arms.values())
         return now - min(self._heard.values()) > self._timeout and speed > MAX_REST_SPEED
 
     def look(self, now: float) -> bool:
-        """Whether the arms are taken over just now."""
-        taken = self.silent(now)
-        self.braking |= taken
-        return taken
+        """Take over the arms if commands are missing; whether this happened just now."""
+        taken_over = self.silent(now)
+        self.braking |= taken_over
+        return taken_over
 
     @property
     def commanded(self) -> bool:
-        """Whether the robot was sent anything since the last reset, and by no one else after it."""
+        """Whether the watchdog was the last to send the robot a torque since the last reset."""
         return self.braking or (bool(self._heard) and not self.deposed)
 
     def reset(self) -> None:
-        """Pass torques on again, and watch from the next one on."""
+        """Pass torques on again; the timeout counts from the next one."""
         self.braking = False
         self._heard.clear()

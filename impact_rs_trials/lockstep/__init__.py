@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials by messages, tick by tick, over any transport: the plant's side and the controller's."""
+"""Trials by messages, tick by tick, over any transport: side of the plant and side of the controller."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller's side of a trial: answers every measured state with a torque of the same timestamp."""
+"""The controller's side of a trial: answers every measured state with a torque that has its timestamp."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ class ControllerTrial(LockstepTrial):
         self._arm_of = {topics.joint_states(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names) for arm, names in self._maker.joints.items()}
         # Last valid position and velocity; without valid states, the prediction for a braked arm.
-        self._known = {arm: (own.initial, np.zeros_like(own.initial)) for arm, own in plan.arms.items()}
+        self._last_states = {
+            arm: (arm_plan.initial, np.zeros_like(arm_plan.initial)) for arm, arm_plan in plan.arms.items()
+        }
         self._plan = plan
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
         self._origin_ns: int | None = None if ros_time else 0  # stamp of tick 0
@@ -49,13 +51,13 @@ class ControllerTrial(LockstepTrial):
         self._answers: dict[str, bytes] = {}
         self._gathering = -1
         self._gathered: dict[str, ArmMeasurement] = {}
-        self._qp = dict.fromkeys(QpStatus, 0)
+        self._qp_counts = dict.fromkeys(QpStatus, 0)
         self._skipped = 0
-        self._outside = 0  # messages with a timestamp outside the trial
+        self._out_of_trial = 0  # messages with a timestamp outside the trial
 
     def work(self, until: float) -> None:
-        while (left := until - time.monotonic()) > 0.0:
-            self._inbox.wait(left)
+        while (remaining := until - time.monotonic()) > 0.0:
+            self._inbox.wait(remaining)
             for topic, data in self._inbox.take():
                 arm = self._arm_of[topic]
                 signals = self._readers[arm].read(data)
@@ -67,10 +69,10 @@ class ControllerTrial(LockstepTrial):
         return "OK" if hit or not self._expects_impact else "NO-IMPACT"
 
     def status(self) -> tuple[str, dict[str, object]]:
-        failed, relaxed = self._qp[QpStatus.FAILED], self._qp[QpStatus.RELAXED]
+        failed, relaxed = self._qp_counts[QpStatus.FAILED], self._qp_counts[QpStatus.RELAXED]
         line = f"{failed} QPs failed" if failed else f"{self._skipped} ticks skipped" if self._skipped else "ok"
-        if self._outside:
-            line = f"{self._outside} states with a stamp outside the trial: who else publishes?"
+        if self._out_of_trial:
+            line = f"{self._out_of_trial} states with a stamp outside the trial: who else publishes?"
         line = self.failure or line
         return line, {
             **self.tick_statistics(),
@@ -88,7 +90,7 @@ class ControllerTrial(LockstepTrial):
             self._origin_ns = self._maker.origin_ns = signals.stamp
             self._outbox.begin(signals.stamp)
         inside = 0 <= self._tick_of(signals) <= self._last
-        self._outside += not inside
+        self._out_of_trial += not inside
         return inside
 
     def _tick_of(self, signals: JointSignals) -> int:
@@ -107,12 +109,12 @@ class ControllerTrial(LockstepTrial):
             self._gathering, self._gathered = tick, {}
         if signals.complaint:
             self._fail(f"{topics.joint_states(arm)} at t = {1e-9 * tick * self._period_ns:.3f} s: {signals.complaint}")
-            position, velocity = braked_state(*self._known[arm], 1e-9 * (tick - self._tick) * self._period_ns)
+            position, velocity = braked_state(*self._last_states[arm], 1e-9 * (tick - self._tick) * self._period_ns)
             torque = np.zeros_like(position)
         else:
             position, velocity, torque = signals.values
-        self._known[arm] = position, velocity
-        # The controller does not use the motor's state, so the joint's stands in for it.
+        self._last_states[arm] = position, velocity
+        # The controller does not use the state of the motor; the state of the joint fills its place.
         self._gathered[arm] = ArmMeasurement(position, velocity, torque, position, velocity)
         if len(self._gathered) == len(self._arm_of):
             self._decide(tick)
@@ -129,7 +131,7 @@ class ControllerTrial(LockstepTrial):
             outbox.keep(topics.controller_state(arm), tick, command)
             if command.detection is not None:
                 outbox.later(topics.impact_event(arm), self._maker.impact_event(tick, arm, command.detection))
-            self._qp[command.qp_status] += 1
+            self._qp_counts[command.qp_status] += 1
         if outbox.due or tick == self._last:
             outbox.flush()
         self.now = tick * self._period_ns
@@ -138,27 +140,27 @@ class ControllerTrial(LockstepTrial):
     def _commands(self, tick: int) -> dict[str, ArmCommand]:
         """Commands of the controller; after a failure, commands that hold the arms."""
         if not self.failure:
-            at = f"at t = {1e-9 * tick * self._period_ns:.3f} s"
+            moment = f"at t = {1e-9 * tick * self._period_ns:.3f} s"
             try:
                 commands = self._controller.update(tick, self._gathered)
                 for arm, command in commands.items():
                     if command.qp_status is QpStatus.FAILED:
-                        self._fail(f"the QP of {arm} {at} has failed")
+                        self._fail(f"the QP of {arm} {moment} has failed")
                     elif not np.isfinite(command.torque).all():
-                        self._fail(f"the torque for {arm} {at} is not finite")
+                        self._fail(f"the torque for {arm} {moment} is not finite")
                 if not self.failure:
                     return commands
             except Exception as error:  # the arms need a torque in any case
-                self._fail(f"the controller {at}: {type(error).__name__}: {error}")
+                self._fail(f"the controller {moment}: {type(error).__name__}: {error}")
         scene, plans = self._plan.scene, self._plan.arms
         return {
             arm: fallback_command(
                 scene.models[arm],
                 scene.physics.arms[arm].motor_inertia_reduced,
-                *known,
+                *state,
                 6 + len(plans[arm].posture),
             )
-            for arm, known in self._known.items()
+            for arm, state in self._last_states.items()
         }
 
     def _fail(self, failure: str) -> None:

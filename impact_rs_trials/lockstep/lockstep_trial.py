@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One trial as one of its participants runs it, message by message."""
+"""One trial on the side of one participant (plant, cell or controller), message by message."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from impact_rs_trials.bags.messages import MessageMaker
 
 
 class LockstepTrial(ABC):
-    """One trial as one node of the lockstep runs it.
+    """One trial on the side of one node of the lockstep.
 
     Args:
         plan: The trial.
@@ -18,7 +18,7 @@ class LockstepTrial(ABC):
 
     Attributes:
         now: Trial time [ns].
-        failure: Why the trial failed; empty: it did not.
+        failure: Reason why the trial failed; empty: it did not.
         unreadable: Number of messages that could not be decoded; they are ignored.
     """
 

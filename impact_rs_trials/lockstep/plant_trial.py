@@ -27,7 +27,7 @@ CONNECTION_TIMEOUT_S = 8.0  # for a newly started controller to receive the firs
 
 @dataclass(frozen=True)
 class Pace:
-    """How long the plant waits for a torque; the node's parameters of these names.
+    """Waiting times of the plant for torques; parameters of the node have these names.
 
     Attributes:
         realtime: Pace the ticks by the wall clock, and hold the last torque if the next is late. A late torque
@@ -50,7 +50,7 @@ class PlantTrial(LeadingTrial):
         plan: The trial.
         maker: Fills its messages.
         plant: Its plant.
-        pace: How long to wait for a torque.
+        pace: Waiting times for torques.
         inbox: Subscriptions to torques.
         outbox: Publishers of states.
         frames: Frames of ``/tf``.
@@ -79,11 +79,11 @@ class PlantTrial(LeadingTrial):
         self._readers = {arm: JointReader(names, ("effort",)) for arm, names in self._maker.joints.items()}
         self._tick = 0
         self._measured = plant.measure()
-        self._asked: dict[str, bytes] = {}  # published states of this tick, by topic
+        self._published: dict[str, bytes] = {}  # published states of this tick, by topic
         self._missing: set[str] = set()  # arms whose torque has not come
-        self._torques: dict[str, Array] = {}  # the newest of every arm
-        self._answered: dict[str, int] = {}  # stamps of these [ns]
-        self._rest_done = False  # whether the signals that no node waits for are queued
+        self._torques: dict[str, Array] = {}  # newest torque of every arm [N m]
+        self._answered: dict[str, int] = {}  # stamp of that torque, by arm [ns]
+        self._others_published = False  # whether the signals that no node waits for are queued
         self._started = 0.0  # when real time began
         self._silent_since = 0.0
         self._missed = 0
@@ -95,7 +95,7 @@ class PlantTrial(LeadingTrial):
 
     def work(self, until: float) -> None:
         while not self.over and (now := time.monotonic()) < until:
-            self._rest()
+            self._publish_others()
             if not self._await_torques(now):
                 return
             if self._tick == self._last or ran_away(self._plan, self._measured.arms, self._torques):
@@ -137,18 +137,18 @@ class PlantTrial(LeadingTrial):
 
     def _ask(self) -> None:
         """Publish the states that the controller waits for."""
-        self._asked = {
+        self._published = {
             topic: self._outbox.now(topic, self._tick, self._measured.arms[arm]) for arm, topic in self._states.items()
         }
         self.now = self._maker.nanoseconds(self._tick)
         self._missing = set(self._states)
-        self._rest_done = False
+        self._others_published = False
 
-    def _rest(self) -> None:
+    def _publish_others(self) -> None:
         """Queue or publish the signals that no node waits for; once a tick, while the controller computes."""
-        if self._rest_done:
+        if self._others_published:
             return
-        self._rest_done = True
+        self._others_published = True
         keep, tick = self._outbox.keep, self._tick
         truth = self._plant.truth()
         for arm, measured in self._measured.arms.items():
@@ -161,50 +161,50 @@ class PlantTrial(LeadingTrial):
         if self._outbox.due:
             self._outbox.flush()
 
-    def _await_torques(self, asked: float) -> bool:
+    def _await_torques(self, asked_at: float) -> bool:
         """Whether this tick's torques have arrived; aborts the trial after the timeout."""
         pace = self._pace
         paced = pace.realtime and 0 < self._tick < self._last  # the last state has its answer, late or not
-        deadline = self._started + self._tick * self._period if paced else asked + pace.repeat_after
+        deadline = self._started + self._tick * self._period if paced else asked_at + pace.repeat_after
         while True:
             for topic, data in self._inbox.take():
                 arm = self._arm_of[topic]
                 command = self._readers[arm].read(data)
                 self.unreadable += not command.readable
-                if command.readable and self._acts(arm, command.stamp):
+                if command.readable and self._is_accepted(arm, command.stamp):
                     if command.complaint:
                         self.stop(f"{topic} at t = {1e-9 * command.stamp:.3f} s: {command.complaint}")
                         return False
                     self._torques[arm], self._answered[arm] = command.values[2], command.stamp
                     if command.stamp == self.now:
                         self._missing.discard(arm)
-            left = deadline - time.monotonic()
+            remaining = deadline - time.monotonic()
             if not self._missing:
-                if paced and left > 0.0:
-                    time.sleep(left)
+                if paced and remaining > 0.0:
+                    time.sleep(remaining)
                 elif self._tick == 0:
                     self._started = time.monotonic()
                 self._silent_since = 0.0
                 return True
-            if left <= 0.0:
+            if remaining <= 0.0:
                 break
-            self._inbox.wait(left)
+            self._inbox.wait(remaining)
         if paced:
             self._missed += 1
             return True
-        self._silent_since = self._silent_since or asked
+        self._silent_since = self._silent_since or asked_at
         patience = pace.answer_timeout if self._tick else max(CONNECTION_TIMEOUT_S, pace.answer_timeout)
         if time.monotonic() - self._silent_since > patience:
-            who = ", ".join(sorted(self._missing))
+            arms = ", ".join(sorted(self._missing))
             self.stop(
-                f"no torque for {who} at t = {self._tick * self._period:.3f} s within {patience:g} s: "
+                f"no torque for {arms} at t = {self._tick * self._period:.3f} s within {patience:g} s: "
                 "the controller is gone or too slow"
             )
             return False
-        for topic, data in self._asked.items():
+        for topic, data in self._published.items():
             self._outbox.repeat(topic, data)
         return False
 
-    def _acts(self, arm: str, stamp: int) -> bool:
-        """Whether a torque of this timestamp [ns] acts: this tick's, or in real time the newest late one."""
+    def _is_accepted(self, arm: str, stamp: int) -> bool:
+        """Whether a torque of this timestamp [ns] is used: of this tick, or in real time a newer late one."""
         return stamp == self.now or (self._pace.realtime and self._answered.get(arm, stamp) < stamp < self.now)

@@ -80,7 +80,7 @@ def test_a_dependence_on_a_covariate_is_in_text_document_and_page(
 def test_an_arm_needs_its_scenario(tmp_path: Path, document: Document, refused: Callable[..., str]) -> None:
     path = write_csv(tmp_path / "pushes.csv", *arm_table({}, 1))
     line = refused("compare", "--impacts", path)
-    assert "column 'q1 [rad]' is of an arm; --scenario NAME says which robot" in line
+    assert "column 'q1 [rad]' belongs to an arm; give robot, pad and support with --scenario NAME" in line
     assert document("compare", "--impacts", path, "--scenario", "push", "--jobs", "1")["trials"] == 6
 
 
@@ -207,7 +207,7 @@ def test_balls_whose_turn_was_not_tracked_give_restitution_and_friction(
     command = ["impacts", str(raw), "--experiment", str(lab / "experiment.yaml"), "-o", str(table), "--jobs", "1"]
     (lab / "experiment.yaml").write_text(yaml.safe_dump(experiment))
     assert main(command) == 2
-    assert "body.spin says it, [0, 0, 0] for one that was dropped without any" in capsys.readouterr().err
+    assert "for a ball give body.spin, [0, 0, 0] if it was dropped without spin" in capsys.readouterr().err
     experiment["body"]["spin"] = [0, 0, 0]
     (lab / "experiment.yaml").write_text(yaml.safe_dump(experiment))
     assert main(command) == 0

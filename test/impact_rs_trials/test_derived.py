@@ -98,7 +98,7 @@ def test_an_object_with_its_own_tracker_times_is_where_it_was_last_seen(recorded
     derived = DerivedMessages(PLAN)
     found = made_by(derived, with_tracker_of_its_own(recorded[0], poses, late=0.006))
     assert list(found) == [(now, topic) for now in (0, 20_000_000) for topic in (topics.TF, topics.CLOCK)]
-    found |= {(at, name): made for name, at, made in derived.rest()}
+    found |= {(at, name): made for name, at, made in derived.remaining()}
     assert list(found) == list(recorded[1])
     seen = {
         now: one.transform.translation.x
@@ -115,7 +115,7 @@ def test_an_object_that_was_never_seen_has_no_frame(recorded: Recorded) -> None:
     assert made_by(derived, with_tracker_of_its_own(recorded[0], {}, late=0.0)) == {}
     untracked = DerivedMessages(PLAN, tracked=())
     expected = made_by(untracked, recorded[0])
-    assert {(at, name): made for name, at, made in derived.rest()} == expected
+    assert {(at, name): made for name, at, made in derived.remaining()} == expected
 
 
 def test_other_topics_change_nothing() -> None:

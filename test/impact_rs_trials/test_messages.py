@@ -281,7 +281,7 @@ def test_a_sample_that_is_awaited_is_the_same_as_in_a_burst(brief_plan: TrialPla
     stream = StreamMaker(brief_plan).joint_states("arm")
     for tick, measured, _, _ in samples[:3]:
         stream.add(tick, measured)
-    assert stream.take()[1] == [stream.one(tick, measured) for tick, measured, _, _ in samples[:3]]
+    assert stream.take()[1] == [stream.serialized(tick, measured) for tick, measured, _, _ in samples[:3]]
 
 
 def test_a_sample_kept_after_a_burst_belongs_to_the_next(brief_plan: TrialPlan, samples: list) -> None:

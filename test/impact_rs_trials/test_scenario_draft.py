@@ -54,7 +54,7 @@ def test_a_draft_with_an_object_of_a_urdf_is_a_scenario_whose_trial_runs(geometr
     scenario = load_scenario(str(tmp_path / "mine.yaml"))
     assert list(scenario.objects) == ["thing"] and scenario.name == "push_ur5e_thing"
     np.testing.assert_allclose(scenario.object("thing").moments, [0.004, 0.004, 0.002])
-    scenario_draft._try(scenario)
+    scenario_draft._simulate(scenario)
 
 
 def test_free_motion_has_no_object(tmp_path) -> None:
@@ -118,14 +118,14 @@ def test_the_second_arm_of_a_grab_is_the_first_turned_about_the_object() -> None
 def test_a_way_that_leaves_the_limits_has_no_score() -> None:
     model = RobotModel(FER, empty_flange())
     q = np.array(load_scenario("push").robots["arm"].impact.joint_guess)
-    near = scenario_draft._along(model, q, np.array([0.0, -0.2, 0.0]), 0.5)
-    far = scenario_draft._along(model, q, np.array([0.0, -2.0, 0.0]), 0.5)
+    near = scenario_draft._path_score(model, q, np.array([0.0, -0.2, 0.0]), 0.5)
+    far = scenario_draft._path_score(model, q, np.array([0.0, -2.0, 0.0]), 0.5)
     assert near > 0.0
     assert far == 0.0
     for stop in (model.position_min, model.position_max):
         at_stop = q.copy()
         at_stop[5] = stop[5]
-        assert scenario_draft._along(model, at_stop, np.array([0.0, -0.01, 0.0]), 0.5) == 0.0
+        assert scenario_draft._path_score(model, at_stop, np.array([0.0, -0.01, 0.0]), 0.5) == 0.0
 
 
 def test_too_few_joints_are_told_in_one_line() -> None:

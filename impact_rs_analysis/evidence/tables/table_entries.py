@@ -112,7 +112,7 @@ class TableEntries:
             assert row.distance is not None
             if np.isnan(velocity).any():
                 raise InputError("no velocities obey the contact laws", file=self.table.path, key=f"row {row.number}")
-            found.append(row.distance.lasting(velocity[-6:-3], world))
+            found.append(row.distance.distance_per_speed(velocity[-6:-3], world))
         return np.array(found)
 
     @cached_property
@@ -121,7 +121,7 @@ class TableEntries:
         found = turned(np.array([row.after for row in self.table.rows]), self.axes)
         if not self.has_distances:
             return found
-        ways = [np.nan if row.distance is None else row.distance.way for row in self.table.rows]
+        ways = [np.nan if row.distance is None else row.distance.measured for row in self.table.rows]
         return np.column_stack((found, ways))
 
     @cached_property

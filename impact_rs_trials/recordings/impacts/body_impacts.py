@@ -4,16 +4,16 @@
 In free flight the second difference of the height over k samples, (z(i+k) - 2 z(i) + z(i-k)) / (k h)^2, is g; where it
 differs, the body is in contact. k is the smallest number for which rest and flight differ by more than the noise of the
 tracker, which follows from third differences of the recording itself. An impact disturbs at most 2 k differences in a
-row; its time is where the parabolas before and after have the same height. Omitted with the reason, because they give
+row; at its time the parabolas before and after have the same height. These are omitted with a reason, because they give
 no state before and after:
 
 * too few samples of flight on a side, or several impacts in a row;
 * a body that rests, is carried or let go: its acceleration jumps, not its velocity;
-* a body that gains energy, of which a fixed plane has none to give: it was thrown, or hit by something that moves;
-* a body that comes down so slowly that noise decides;
-* a ball of unknown spin: one whose rotation was not tracked, after an impact that has no row;
-* one that lands on an edge or a face: its next corner comes so soon that two impacts look like one;
-* a run that is there twice (the same poses).
+* a body that gains energy, which a fixed plane cannot give: it was thrown, or hit by something that moves;
+* a body whose approach is slower than the noise of its velocity;
+* a ball of unknown spin: its rotation was not tracked, and an earlier impact has no row;
+* a body that lands on an edge or a face: the next corner hits so soon that two impacts look like one;
+* a run that was recorded twice (equal poses).
 
 A ball whose rotation was not tracked has an assumed spin before its first impact. The impulse m (v+ - v-) acts at the
 lowest point, r = (0, 0, -R) from the centre, so that the next one has w = w- + r x m (v+ - v-) / I.
@@ -41,13 +41,13 @@ UNSEEN = "the tracker does not see the impact"
 MIN_FLIGHT_SAMPLES = 5  # on either side of an impact
 MAX_FLIGHT_S = 0.12  # of the used samples; longer flights feel drag
 MAX_DISTURBED = 2  # consecutive disturbed differences, over k; a single impact, on or between samples, disturbs no more
-MAX_CONTACT_S = 0.02  # of a ball on something soft, as paper or a lawn; a box in contact so long lands on two corners
+MAX_CONTACT_S = 0.02  # of a ball on something soft, like paper or a lawn; a box in contact so long lands on two corners
 MAX_DIFFERENCE_S = 0.04  # k h: enough for the noise of trackers, shorter than flights between bounces
-MIN_DISTURBANCE_SIGMA = 4.0  # standard deviations of a second difference, beyond which it is disturbed,
-MIN_DISTURBANCE_G = 0.5  # and at least so much of g
+MIN_DISTURBANCE_SIGMA = 4.0  # standard deviations of a second difference; beyond both limits it is disturbed
+MIN_DISTURBANCE_G = 0.5  # of g
 MAX_NOISE_G = 0.9  # of g; a larger limit makes rest look like flight
-MIN_APPROACH_SIGMA = 5.0  # standard deviations of the normal velocity with which a body must come down
-MIN_NEXT_CORNER_SAMPLES = 2  # within which a second corner hits, and two impacts look like one
+MIN_APPROACH_SIGMA = 5.0  # standard deviations of the normal velocity; a slower approach is no impact
+MIN_NEXT_CORNER_SAMPLES = 2  # if a second corner hits earlier, two impacts look like one
 MAX_ROTATION_RAD = 1.2  # of a body on either side of the middle of a window
 
 
@@ -56,11 +56,11 @@ class TrackedBody:
     """One run of a body, in a frame whose z axis is the normal of the plane and whose plane is z = 0.
 
     Attributes:
-        run: Its name.
+        run: Name of the run.
         time: Stamps, ``(k,)`` [s].
-        position: Of the geometric centre, the middle of its bounding box, ``(k, 3)`` [m].
-        rotation: From its axes, ``(k, 3, 3)``.
-        gravity: ``(3,)`` [m/s^2].
+        position: Positions of the geometric centre (middle of the bounding box), ``(k, 3)`` [m].
+        rotation: Rotations from the axes of the body, ``(k, 3, 3)``.
+        gravity: Gravity vector, ``(3,)`` [m/s^2].
         spin: Assumed angular velocity before the first impact, ``(3,)`` [rad/s]; None: the orientation was tracked.
     """
 
@@ -73,58 +73,59 @@ class TrackedBody:
 
 
 def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Impact], list[NoRow]]:
-    """Impacts of all runs, and the omitted ones with reasons.
+    """Impacts of all runs, and omitted impacts with their reasons.
 
     Args:
         runs: Tracked runs.
         body: The body.
     """
-    found: list[Impact] = []
+    impacts: list[Impact] = []
     left_out: list[NoRow] = []
-    known: dict[bytes, str] = {}
+    run_of_poses: dict[bytes, str] = {}
     for run in runs:
         key = run.position.round(6).tobytes() + run.rotation.round(6).tobytes()
-        if key in known:
-            left_out.append(NoRow(run.run, f"recorded twice: the same poses as {known[key]}"))
+        if key in run_of_poses:
+            left_out.append(NoRow(run.run, f"recorded twice: the same poses as {run_of_poses[key]}"))
             continue
-        known[key] = run.run
-        own, out = _impacts_of(run, body)
-        found += own
-        left_out += out
-    return found, left_out
+        run_of_poses[key] = run.run
+        impacts_of_run, omitted = _impacts_of(run, body)
+        impacts += impacts_of_run
+        left_out += omitted
+    return impacts, left_out
 
 
 def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]]:
     if len(run.time) < 2 * MIN_FLIGHT_SAMPLES + 2:
         return [], [NoRow(run.run, f"{len(run.time)} samples, at least {2 * MIN_FLIGHT_SAMPLES + 2} are needed")]
     item = body.item
-    run = replace(run, position=run.position + run.rotation @ item.com_offset)  # which flies freely
+    run = replace(run, position=run.position + run.rotation @ item.com_offset)  # the centre of mass flies freely
     disturbed_and_reach = disturbed_samples(run.time, run.position[:, 2], float(run.gravity[2]))
     if disturbed_and_reach is None:
         return [], [NoRow(run.run, _too_noisy(run.time, run.position[:, 2], float(run.gravity[2])))]
-    off, reach = disturbed_and_reach
-    if not off[reach:-reach].any():
+    disturbed, reach = disturbed_and_reach
+    if not disturbed[reach:-reach].any():
         return [], [NoRow(run.run, "nothing is hit")]
     results: list[Impact | NoRow] = []
-    flights = _stretches(~off)
+    flights = _stretches(~disturbed)
     for pair in zip(flights, flights[1:], strict=False):
         name = f"{run.run}, impact {len(results) + 1}" if results else run.run
-        result = _between(run, item, name, pair, reach)
+        result = _impact_between(run, item, name, pair, reach)
         if run.spin is not None and isinstance(result, Impact):
-            last = results[-1] if results else None
-            # Before the first impact a hand may have moved the ball; an impact that was not seen is one.
-            begun = any(isinstance(one, Impact) or UNSEEN in one.reason for one in results)
-            if isinstance(last, NoRow) and begun:
+            previous = results[-1] if results else None
+            # Before the first impact a hand may have moved the ball. An impact without samples changes the spin, too.
+            any_contact = any(isinstance(earlier, Impact) or UNSEEN in earlier.reason for earlier in results)
+            if isinstance(previous, NoRow) and any_contact:
                 result = NoRow(name, "the spin of the ball is unknown after an impact without a row")
             else:
-                run = replace(run, spin=run.spin + _spin_by(result, item))
+                run = replace(run, spin=run.spin + _spin_change(result, item))
         results.append(result)
     if not results:
         results.append(NoRow(run.run, "too few samples of free flight on one side of what is hit"))
-    return [one for one in results if isinstance(one, Impact)], [one for one in results if isinstance(one, NoRow)]
+    impacts = [result for result in results if isinstance(result, Impact)]
+    return impacts, [result for result in results if isinstance(result, NoRow)]
 
 
-def _between(
+def _impact_between(
     run: TrackedBody, item: ObjectPhysics, name: str, flights: tuple[tuple[int, int], tuple[int, int]], reach: int
 ) -> Impact | NoRow:
     """The impact between two neighbouring flights, by their first and last undisturbed sample."""
@@ -137,10 +138,10 @@ def _between(
     if min(ante.size, post.size) < MIN_FLIGHT_SAMPLES:
         message = f"too few samples of free flight: {ante.size} before, {post.size} after, of {MIN_FLIGHT_SAMPLES}"
         return NoRow(name, message)
-    return _impact(run, item, name, ante, post, reach)
+    return _fitted_impact(run, item, name, ante, post, reach)
 
 
-def _spin_by(impact: Impact, item: ObjectPhysics) -> Array:
+def _spin_change(impact: Impact, item: ObjectPhysics) -> Array:
     """Change of the angular velocity of a ball by an impact, ``(3,)`` [rad/s]."""
     lever = np.array([0.0, 0.0, -0.5 * item.size[2]])
     return np.asarray(np.cross(lever, item.mass * (impact.after[:3] - impact.before[:3])) / item.inertia)
@@ -154,41 +155,41 @@ def disturbed_samples(time: Array, height: Array, gravity: float) -> tuple[NDArr
         height: ``(k,)`` [m].
         gravity: Along the height, negative [m/s^2].
     """
-    noise = _noise(time, height)
+    noise = _difference_noise(time, height)
     for reach in range(1, _longest_reach(time) + 1):
         limit = max(MIN_DISTURBANCE_SIGMA * noise / reach**2, MIN_DISTURBANCE_G * abs(gravity))
         if limit <= MAX_NOISE_G * abs(gravity):
-            off = np.ones(len(time), dtype=bool)
-            off[reach:-reach] = np.abs(_second_differences(time, height, reach) - gravity) > limit
-            return off, reach
+            disturbed = np.ones(len(time), dtype=bool)
+            disturbed[reach:-reach] = np.abs(_second_differences(time, height, reach) - gravity) > limit
+            return disturbed, reach
     return None
 
 
 def _too_noisy(time: Array, height: Array, gravity: float) -> str:
-    """Noise of the heights, and the largest from which rest differs from free flight."""
-    period, of_height = float(np.median(np.diff(time))), _noise_per_difference(time)
-    most = MAX_NOISE_G * abs(gravity) * max(_longest_reach(time), 1) ** 2 / MIN_DISTURBANCE_SIGMA
+    """Message: noise of the heights, and the largest noise at which rest differs from free flight."""
+    period, height_per_difference = float(np.median(np.diff(time))), _height_per_difference(time)
+    largest_noise = MAX_NOISE_G * abs(gravity) * max(_longest_reach(time), 1) ** 2 / MIN_DISTURBANCE_SIGMA
     return (
-        f"the heights have noise of {1e3 * of_height * _noise(time, height):.2g} mm (standard deviation); above "
-        f"{1e3 * of_height * most:.2g} mm at {1.0 / period:.3g} Hz rest looks like free flight: track it at a higher "
-        "rate"
+        f"the heights have noise of {1e3 * height_per_difference * _difference_noise(time, height):.2g} mm (standard "
+        f"deviation); above {1e3 * height_per_difference * largest_noise:.2g} mm at {1.0 / period:.3g} Hz rest looks "
+        "like free flight: track it at a higher rate"
     )
 
 
-def _noise(time: Array, height: Array) -> float:
+def _difference_noise(time: Array, height: Array) -> float:
     """Standard deviation of the second differences over one sample [m/s^2]."""
     # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
     thirds = np.abs(np.diff(_second_differences(time, height, 1)))
     return 1.4826 * float(np.median(thirds)) / float(np.sqrt(20.0 / 6.0))
 
 
-def _noise_per_difference(time: Array) -> float:
+def _height_per_difference(time: Array) -> float:
     """Factor from the noise of second differences to the noise of heights, if it is white: period^2 / sqrt(6) [s^2]."""
     return float(np.median(np.diff(time))) ** 2 / float(np.sqrt(6.0))
 
 
 def _longest_reach(time: Array) -> int:
-    """Samples on either side of a second difference, at most."""
+    """Largest half width k of second differences, in samples."""
     return min(round(MAX_DIFFERENCE_S / float(np.median(np.diff(time)))), (len(time) - 2) // 4)
 
 
@@ -205,21 +206,23 @@ def _stretches(flying: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)]
 
 
-def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, after: Rows, reach: int) -> Impact | NoRow:
+def _fitted_impact(
+    run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, after: Rows, reach: int
+) -> Impact | NoRow:
     """An impact by the flights of the centre of mass before and after."""
     period = float(np.median(np.diff(run.time)))
     before, after = _window(run, before, -1), _window(run, after, 1)
-    edge = (float(run.time[before[-1]]), float(run.time[after[0]]))
-    lasting = MAX_CONTACT_S if item.round else 0.0
-    if edge[1] - edge[0] > (MAX_DISTURBED + 2.0) * reach * period + lasting:
-        return NoRow(name, f"{UNSEEN}: {edge[1] - edge[0]:.3f} s without a sample")
+    edges = (float(run.time[before[-1]]), float(run.time[after[0]]))
+    contact_duration = MAX_CONTACT_S if item.round else 0.0
+    if edges[1] - edges[0] > (MAX_DISTURBED + 2.0) * reach * period + contact_duration:
+        return NoRow(name, f"{UNSEEN}: {edges[1] - edges[0]:.3f} s without a sample")
     ante, post = (
         fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, item.inertia, at)
-        for rows, at in ((before, edge[0]), (after, edge[1]))
+        for rows, at in ((before, edges[0]), (after, edges[1]))
     )
     if _log_odds_of_a_jump(run, before, after, (ante, post)) < DECISIVE_LOG_ODDS:
         return NoRow(name, "rests, is carried or let go: a motion without a jump of the velocity fits as well")
-    time = _crossing_time(ante, post, edge)
+    time = _crossing_time(ante, post, edges)
     position, rotation, twist = ante.at(time)
     post_twist = post.at(time)[2]
     if run.spin is not None:
@@ -227,7 +230,9 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
     noise = (float(np.hypot(ante.noise[0], post.noise[0])), float(np.hypot(ante.noise[1], post.noise[1])))
     lever = rotation @ item.com_offset
     position = position - lever
-    twist, post_twist = (np.concatenate((one[:3] - np.cross(one[3:], lever), one[3:])) for one in (twist, post_twist))
+    twist, post_twist = (
+        np.concatenate((at_com[:3] - np.cross(at_com[3:], lever), at_com[3:])) for at_com in (twist, post_twist)
+    )
     corners = position + item.shape.first_points(item.size, -rotation[2]) @ rotation.T
     heights = np.sort(corners[:, 2])
     speeds = twist[2] + np.cross(twist[3:], corners - position)[:, 2]
@@ -260,7 +265,7 @@ def _impact(run: TrackedBody, item: ObjectPhysics, name: str, before: Rows, afte
 def _log_odds_of_a_jump(
     run: TrackedBody, before: Rows, after: Rows, flights: tuple[FittedMotion, FittedMotion]
 ) -> float:
-    """Log odds that the velocity jumps between two flights, against a jump of the acceleration alone, by all heights.
+    """Log odds of a jump of the velocity between two flights over a jump of the acceleration alone, from all heights.
 
         z(t) = z_0 + v t + a t^2 / 2 + b max(t - t_0, 0)^2 / 2                 rest, a hand, a release, a catch
         (S_smooth - S_flights) / (2 sigma^2) + (5 - 4 - m) log(k) / 2          (Schwarz 1978)
@@ -270,50 +275,49 @@ def _log_odds_of_a_jump(
     """
     rows = np.arange(before[0], after[-1] + 1)
     t, height = run.time[rows] - run.time[before[-1]], run.position[rows, 2]
-    smooth = min(
-        _left_over(np.column_stack((np.ones_like(t), t, t**2, np.square(np.maximum(t - knot, 0.0)))), height)
+    smooth_squares = min(
+        _residual_squares(np.column_stack((np.ones_like(t), t, t**2, np.square(np.maximum(t - knot, 0.0)))), height)
         for knot in t[1:-1]
     )
-    flown = [
+    flight_residuals = [
         run.position[row, 2] - flight.at(float(run.time[row]))[0][2]
         for part, flight in zip((before, after), flights, strict=True)
         for row in part
     ]
-    noise = _noise(run.time, run.position[:, 2]) * _noise_per_difference(run.time)
-    gain = smooth - float(np.sum(np.square(flown)))
-    free = rows.size - before.size - after.size
-    return gain / (2.0 * max(noise, 1e-12) ** 2) + 0.5 * (1 - free) * float(np.log(rows.size))
+    noise = _difference_noise(run.time, run.position[:, 2]) * _height_per_difference(run.time)
+    gain = smooth_squares - float(np.sum(np.square(flight_residuals)))
+    free_heights = rows.size - before.size - after.size
+    return gain / (2.0 * max(noise, 1e-12) ** 2) + 0.5 * (1 - free_heights) * float(np.log(rows.size))
 
 
-def _left_over(basis: Array, values: Array) -> float:
+def _residual_squares(basis: Array, values: Array) -> float:
     """Sum of squared residuals of least squares."""
     return float(np.sum(np.square(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])))
 
 
 def _contradiction(item: ObjectPhysics, approach: float, noise: float, departure: float) -> str | None:
-    """Why motions on both sides are no impact on the plane; None: they may be one.
+    """Reason why two motions are no impact on the plane; None: they may be an impact.
 
     Args:
         item: The body.
-        approach: Speed at which its first point comes down [m/s].
-        noise: Of a velocity [m/s].
-        departure: Normal velocity after the impact, of other bodies than balls its change [m/s].
+        approach: Speed at which its lowest point comes down [m/s].
+        noise: Standard deviation of a velocity [m/s].
+        departure: Normal velocity after the impact; for a body that is no ball, the change of it [m/s].
     """
-    least = MIN_APPROACH_SIGMA * noise
-    if approach < -least:
+    threshold = MIN_APPROACH_SIGMA * noise
+    if approach < -threshold:
         return f"moves away from the plane before it, at {-approach:.2f} m/s: thrown or caught"
-    if approach < least:
+    if approach < threshold:
         return f"comes down at {approach:.2f} m/s, less than {MIN_APPROACH_SIGMA:g} standard deviations of the velocity"
-    if departure < (-least if item.round else 0.0):
+    if departure < (-threshold if item.round else 0.0):
         return "goes on downwards: not this plane"
     return None
 
 
 def _energy_gain(item: ObjectPhysics, ante: FittedMotion, post: FittedMotion, time: float) -> str | None:
-    """Reason if an impact raises the kinetic energy beyond its noise; for a ball, by its normal velocity alone.
+    """Reason if the kinetic energy rises beyond its noise; None: it does not rise.
 
-    Friction may turn the spin of a ball into a tangential velocity; the normal velocity of its centre has no other
-    source. None: the energy does not rise.
+    For a ball the normal velocity alone decides: friction may turn its spin into a tangential velocity.
     """
     energies = []
     for motion in (ante, post):
@@ -325,29 +329,29 @@ def _energy_gain(item: ObjectPhysics, ante: FittedMotion, post: FittedMotion, ti
         energy = item.mass * float(twist[:3] @ twist[:3]) + float(spin @ (rotation.T @ twist[3:]))
         noise = item.mass * np.linalg.norm(twist[:3]) * motion.noise[0], np.linalg.norm(spin) * motion.noise[1]
         energies.append((energy, 2.0 * float(np.hypot(*noise))))
-    (first, before), (last, after) = energies
-    if last - first <= MIN_APPROACH_SIGMA * np.hypot(before, after):
+    (energy_before, noise_before), (energy_after, noise_after) = energies
+    if energy_after - energy_before <= MIN_APPROACH_SIGMA * np.hypot(noise_before, noise_after):
         return None
     return (
-        f"leaves with {last / first - 1.0:.0%} more energy than before, which no fixed plane gives: thrown, hit by "
-        "something that moves, or timestamps that run backwards"
+        f"leaves with {energy_after / energy_before - 1.0:.0%} more energy than before, which no fixed plane gives: "
+        "thrown, hit by something that moves, or timestamps that run backwards"
     )
 
 
 def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:
     """Samples nearest to the impact, limited in duration and rotation."""
     rows = rows if side > 0 else rows[::-1]
-    span = np.abs(run.time[rows] - run.time[rows[0]]) <= MAX_FLIGHT_S
-    rows = rows[: max(MIN_FLIGHT_SAMPLES, int(np.argmin(np.append(span, False))))]
-    turned = np.array([np.linalg.norm(pin.log3(run.rotation[row] @ run.rotation[rows[0]].T)) for row in rows])
-    near = turned <= 2.0 * MAX_ROTATION_RAD
-    rows = rows[: max(MIN_FLIGHT_SAMPLES, int(np.argmin(np.append(near, False))))]
+    within_duration = np.abs(run.time[rows] - run.time[rows[0]]) <= MAX_FLIGHT_S
+    rows = rows[: max(MIN_FLIGHT_SAMPLES, int(np.argmin(np.append(within_duration, False))))]
+    angles = np.array([np.linalg.norm(pin.log3(run.rotation[row] @ run.rotation[rows[0]].T)) for row in rows])
+    within_rotation = angles <= 2.0 * MAX_ROTATION_RAD
+    rows = rows[: max(MIN_FLIGHT_SAMPLES, int(np.argmin(np.append(within_rotation, False))))]
     return np.asarray(rows if side > 0 else rows[::-1])
 
 
-def _crossing_time(ante: FittedMotion, post: FittedMotion, edge: tuple[float, float]) -> float:
-    """Time at which both have the same height; both fall with g, so their difference is linear in time."""
-    start = edge[0]
+def _crossing_time(ante: FittedMotion, post: FittedMotion, edges: tuple[float, float]) -> float:
+    """Time of equal heights of both flights [s]; both fall with g, so that the difference is linear in time."""
+    start = edges[0]
     gap = ante.at(start)[0][2] - post.at(start)[0][2]
     slope = ante.at(start)[2][2] - post.at(start)[2][2]
-    return float(np.clip(start - gap / slope, *edge)) if slope != 0.0 else start
+    return float(np.clip(start - gap / slope, *edges)) if slope != 0.0 else start

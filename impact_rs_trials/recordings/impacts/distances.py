@@ -27,13 +27,13 @@ class Distance:
     """Horizontal displacement of the centre of an object after an impact.
 
     Attributes:
-        way: Measured D [m]; nan: to be predicted.
+        measured: Measured D [m]; nan: to be predicted.
         fall: Height h of the fall [m]; None: the object slid to rest.
         friction: Measured Coulomb coefficient of the support [-]; None: the nominal one.
         noise: Standard deviation of the measured D [m]; None: unknown.
     """
 
-    way: float
+    measured: float
     fall: float | None = None
     friction: float | None = None
     noise: float | None = None
@@ -53,27 +53,27 @@ class Distance:
         speed = float(np.hypot(velocity[0], velocity[1]))
         if self.fall is None:
             return speed**2 / (2.0 * self._friction(physics) * _gravity(physics))
-        return speed * self._flight(float(velocity[2]), physics)
+        return speed * self._flight_time(float(velocity[2]), physics)
 
-    def lasting(self, velocity: Array, physics: Physics) -> float:
-        """T of the module: derivative of D by the horizontal speed [s].
+    def distance_per_speed(self, velocity: Array, physics: Physics) -> float:
+        """T = dD/d|v_h| [s]: derivative of the distance by the horizontal speed.
 
         Args:
             velocity: Predicted velocity of the centre, axes of A, ``(3,)`` [m/s]; T depends on it in a flight only.
             physics: Friction of the support, and gravity.
         """
         if self.fall is None:
-            return float(np.sqrt(2.0 * self.way / (self._friction(physics) * _gravity(physics))))
-        return max(self._flight(float(velocity[2]), physics), MIN_FLIGHT_S)
+            return float(np.sqrt(2.0 * self.measured / (self._friction(physics) * _gravity(physics))))
+        return max(self._flight_time(float(velocity[2]), physics), MIN_FLIGHT_S)
 
     def _friction(self, physics: Physics) -> float:
         return max(physics.support_friction if self.friction is None else self.friction, 1e-6)
 
-    def _flight(self, upwards: float, physics: Physics) -> float:
-        """t of the module [s]."""
+    def _flight_time(self, vertical_velocity: float, physics: Physics) -> float:
+        """Duration t of the flight [s]."""
         assert self.fall is not None
         g = _gravity(physics)
-        return float(max(upwards + np.sqrt(upwards**2 + 2.0 * g * self.fall), 0.0)) / g
+        return float(max(vertical_velocity + np.sqrt(vertical_velocity**2 + 2.0 * g * self.fall), 0.0)) / g
 
 
 def _gravity(physics: Physics) -> float:

@@ -31,18 +31,22 @@ SPIN = (
     "the rotation of the ball was not tracked: its spin before the impacts is body.spin, on which its friction "
     "depends, and its spin after them is not compared"
 )
-NO_TURN = (
+SOME_BY_DISTANCE = (
     "in {} of {} impacts the velocity after follows from the sliding distance, which gives no angular velocity: the "
     "table has no columns w_after"
 )
-WAYS = (
+ALL_BY_DISTANCE = (
     "the outcome of all impacts is the sliding distance (slide_distance): the object was tracked too slowly, so "
     "the table has no columns v_after and w_after, and predictions depend on the friction of the support"
 )
 MAX_TRACKED_M = 1e4  # farther than any tracker sees
-NEIGHBOUR_SAMPLES = 4  # about a step, whose speeds are compared with its own
-MAX_STEP_RATIO = 5.0  # of a step to the speeds around it; no impact on a fixed plane exceeds it
-STILL = ("", "a motion in a plane, or it was not tracked", "a motion along a line, or they were not tracked")
+NEIGHBOUR_SAMPLES = 4  # on either side of a step, whose speeds are compared with its speed
+MAX_STEP_RATIO = 5.0  # of the speed of a step to the speeds around it; no impact on a fixed plane exceeds it
+REASONS_OF_STILL_AXES = (
+    "",
+    "a motion in a plane, or it was not tracked",
+    "a motion along a line, or they were not tracked",
+)
 
 
 @dataclass(frozen=True)
@@ -78,22 +82,22 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
     if experiment.body is not None:
         return _of_bodies(directory, experiment, experiment.body, map_tasks)
     laboratory = Laboratory.of(experiment)
-    table = read_runs(directory, experiment, laboratory.scenario)
-    hits = [run for run in table if run.hit]
+    rows = read_runs(directory, experiment, laboratory.scenario)
+    hits = [run for run in rows if run.hit]
     if not hits:
         raise InputError("the table of runs names no hit; expected rows with kind hit", file=directory)
-    laboratory = with_tracker_frame(laboratory, table, map_tasks)
+    laboratory = with_tracker_frame(laboratory, rows, map_tasks)
     impacts: list[Impact] = []
     left_out: list[NoRow] = []
     remarks: list[tuple[str, str]] = []
     tasks = [(laboratory, run) for run in hits]
-    for run, (results, found) in zip(hits, map_tasks(_arm_task, tasks), strict=True):
-        remarks += [(run.label, one) for one in found]
-        impacts += [one for one in results if isinstance(one, Impact)]
-        left_out += [one for one in results if isinstance(one, NoRow)]
+    for run, (results, run_remarks) in zip(hits, map_tasks(_arm_task, tasks), strict=True):
+        remarks += [(run.label, text) for text in run_remarks]
+        impacts += [result for result in results if isinstance(result, Impact)]
+        left_out += [result for result in results if isinstance(result, NoRow)]
     warnings = merged(remarks, len(hits))
     if unknown := sum(not impact.turn_tracked for impact in impacts):
-        warnings.append(WAYS if unknown == len(impacts) else NO_TURN.format(unknown, len(impacts)))
+        warnings.append(ALL_BY_DISTANCE if unknown == len(impacts) else SOME_BY_DISTANCE.format(unknown, len(impacts)))
     return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, tuple(warnings))
 
 
@@ -105,6 +109,7 @@ def _arm_task(task: tuple[Laboratory, RunRow]) -> tuple[list[Impact | NoRow], tu
 
 
 def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: Map) -> FoundImpacts:
+    """Impacts of a body on a plane; a run whose file cannot be read is left out with the reason."""
     (mapping,) = experiment.load_mappings(["body"]).values()
     plane = experiment.plane or Plane()
     tables = (directory / experiment.runs, experiment.folder / experiment.runs)
@@ -122,35 +127,36 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
         else:
             run, warnings = result
             runs.append(replace(run, run=name))
-            remarks += [(name, one) for one in warnings]
-    impacts, out = impacts_of_bodies(runs, body)
+            remarks += [(name, text) for text in warnings]
+    impacts, omitted = impacts_of_bodies(runs, body)
     named = [_with_condition(impact, by_name) for impact in impacts]
     constants = body_columns(body, plane)
     assumed = () if all(impact.turn_tracked for impact in impacts) else (SPIN,)
-    remarks_said = (*merged(remarks, len(rows)), *assumed)
-    return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants, remarks_said)
+    all_remarks = (*merged(remarks, len(rows)), *assumed)
+    return FoundImpacts(tuple(named), (*left_out, *omitted), len(rows), constants, all_remarks)
 
 
 def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
+    """The impact with condition and session of its run."""
     row = rows[impact.run if impact.run in rows else impact.run.rsplit(", impact ", 1)[0]]
     return replace(impact, condition=row.condition, session=row.session)
 
 
 def body_columns(body: Body, plane: Plane) -> dict[str, float | str]:
-    """Columns of an impact table with the properties of the body and the assumptions about the contact."""
-    found: list[tuple[ColumnGroup, Sequence[float | str]]] = [(col.MASS, (body.mass,))]
+    """Constant columns of an impact table by header: properties of the body, assumptions about the contact."""
+    columns: list[tuple[ColumnGroup, Sequence[float | str]]] = [(col.MASS, (body.mass,))]
     if body.radius is None or body.inertia is not None:
-        found.append((col.MOMENTS, body.item.inertia.tolist()))
+        columns.append((col.MOMENTS, body.item.inertia.tolist()))
     if body.mesh is not None:
-        found.append((col.MESH, (body.mesh,)))
+        columns.append((col.MESH, (body.mesh,)))
     elif body.shape != "box":
-        found.append((col.SHAPE, (body.shape,)))
+        columns.append((col.SHAPE, (body.shape,)))
     if body.radius is not None:
-        found += [(col.RADIUS, (body.radius,)), (col.SHELL, (float(body.shell),))]
+        columns += [(col.RADIUS, (body.radius,)), (col.SHELL, (float(body.shell),))]
     if body.size is not None:
-        found.append((col.SIZE, body.size))
-    found += [(col.FRICTION, (plane.friction,)), (col.RESTITUTION, (plane.restitution,))]
-    return {header: value for one, own in found for header, value in zip(one.headers, own, strict=True)}
+        columns.append((col.SIZE, body.size))
+    columns += [(col.FRICTION, (plane.friction,)), (col.RESTITUTION, (plane.restitution,))]
+    return {header: value for column, values in columns for header, value in zip(column.headers, values, strict=True)}
 
 
 def tracked_body(
@@ -167,42 +173,43 @@ def tracked_body(
         spin: Angular velocity before impacts in that world, if the orientation was not tracked, ``(3,)`` [rad/s].
     """
     normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
-    level = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0])).matrix()
+    levelling = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0])).matrix()
     placements = [pin.XYZQUATToSE3(np.concatenate((row[:3], row[3:] / np.linalg.norm(row[3:])))) for row in pose]
     bodies = [placement * body.place.placement for placement in placements]
-    position = np.array([one.translation for one in bodies]) @ level.T - np.array([0.0, 0.0, plane.height])
-    rotation = np.array([level @ one.rotation for one in bodies])
-    around = None if spin is None else level @ spin
-    return TrackedBody(name, time - time[0], position, rotation, level @ np.array(plane.gravity), around)
+    position = np.array([placed.translation for placed in bodies]) @ levelling.T - np.array([0.0, 0.0, plane.height])
+    rotation = np.array([levelling @ placed.rotation for placed in bodies])
+    level_spin = None if spin is None else levelling @ spin
+    return TrackedBody(name, time - time[0], position, rotation, levelling @ np.array(plane.gravity), level_spin)
 
 
 def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list[str]] | InputError:
+    """A tracked run with warnings, or the error for which it is left out."""
     remarks: list[str] = []
     row, mapping, body, plane = task
-    turned = "object_quaternion" in mapping.signals or "object_pose" in mapping.signals
-    if not turned and body.spin is None:
+    rotation_tracked = "object_quaternion" in mapping.signals or "object_pose" in mapping.signals
+    if not rotation_tracked and body.spin is None:
         text = "the orientation of the body was not tracked (object_quaternion), and how it bounces depends on its spin"
-        return InputError(f"{text}; of a ball body.spin says it, [0, 0, 0] for one that was dropped without any")
+        return InputError(f"{text}; for a ball give body.spin, [0, 0, 0] if it was dropped without spin")
     wanted = [name for name in OBJECT_SIGNALS if name in mapping.signals]
     try:
-        read = dict(read_series(row.path, mapping, wanted, wanted, Names(run=row.name)))
-        if not turned:
-            place = read.pop("object_position")
-            upright = np.tile([0.0, 0.0, 0.0, 1.0], (place.time.size, 1))
-            read["object_pose"] = replace(place, values=np.hstack((place.values, upright)))
-        pose = with_object(row.path, read, remarks)["object_pose"]
+        signals = dict(read_series(row.path, mapping, wanted, wanted, Names(run=row.name)))
+        if not rotation_tracked:
+            position = signals.pop("object_position")
+            upright = np.tile([0.0, 0.0, 0.0, 1.0], (position.time.size, 1))
+            signals["object_pose"] = replace(position, values=np.hstack((position.values, upright)))
+        pose = with_object(row.path, signals, remarks)["object_pose"]
         remarks += pose.remarks
         finite = np.isfinite(pose.values).all(axis=1)
         if not finite.any():
-            raise InputError(f"{pose.label}: no sample holds finite numbers alone")
+            raise InputError(f"{pose.label}: every sample has a number that is not finite")
         if np.any(np.diff(pose.time) <= 0.0):
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
-        spin = None if turned else np.array(body.spin)
+        spin = None if rotation_tracked else np.array(body.spin)
         farthest = float(np.max(np.abs(pose.values[finite, :3]), initial=0.0))
         if farthest > MAX_TRACKED_M:
             raise InputError(f"{pose.label} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
         if not finite.all():
-            words = "{}: {:d} of {:d} samples are no finite numbers: left out"
+            words = "{}: {:d} of {:d} samples are not finite and left out"
             remarks.append(remark(words, pose.label, int(np.sum(~finite)), finite.size))
         remarks += _motion_warnings(pose.label, pose.time[finite], pose.values[finite, :3])
         return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
@@ -210,27 +217,27 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
         return error
 
 
-def _motion_warnings(place: str, time: Array, position: Array) -> list[str]:
+def _motion_warnings(label: str, time: Array, position: Array) -> list[str]:
     """Warnings about impossible motions of a free body: a constant coordinate, or a jump; positions ``(k, 3)`` [m]."""
-    moves = np.ptp(position, axis=0) > 0.0
+    varying = np.ptp(position, axis=0) > 0.0
     warnings = []
-    if still := [axis for axis, own in zip("xyz", moves, strict=True) if not own and moves.any()]:
-        warnings.append(f"{place}: {' and '.join(still)} the same in all samples: {STILL[len(still)]}")
-    steps = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(time)
-    if steps.size <= 2 * NEIGHBOUR_SAMPLES:
+    if still := [axis for axis, varies in zip("xyz", varying, strict=True) if not varies and varying.any()]:
+        warnings.append(f"{label}: {' and '.join(still)} the same in all samples: {REASONS_OF_STILL_AXES[len(still)]}")
+    speeds = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(time)
+    if speeds.size <= 2 * NEIGHBOUR_SAMPLES:
         return warnings
-    around = np.array(
-        [np.roll(steps, shift) for shift in range(-NEIGHBOUR_SAMPLES, NEIGHBOUR_SAMPLES + 1) if abs(shift) > 1]
+    neighbours = np.array(
+        [np.roll(speeds, shift) for shift in range(-NEIGHBOUR_SAMPLES, NEIGHBOUR_SAMPLES + 1) if abs(shift) > 1]
     ).max(axis=0)
     inside = slice(NEIGHBOUR_SAMPLES, -NEIGHBOUR_SAMPLES)  # rolled steps come from the other end
     jumps = NEIGHBOUR_SAMPLES + np.flatnonzero(
-        steps[inside] > MAX_STEP_RATIO * np.maximum(around[inside], np.median(steps))
+        speeds[inside] > MAX_STEP_RATIO * np.maximum(neighbours[inside], np.median(speeds))
     )
     if jumps.size:
-        far = np.linalg.norm(position[jumps[0] + 1] - position[jumps[0]])
+        jump = np.linalg.norm(position[jumps[0] + 1] - position[jumps[0]])
         words = (
             "{}: jumps by {:.3g} mm between two samples at t = {:.3f} s, "
             f"{MAX_STEP_RATIO:g} times as fast as before and after: columns, units or a marker that changed?"
         )
-        warnings.append(remark(words, place, 1e3 * float(far), float(time[jumps[0]] - time[0])))
+        warnings.append(remark(words, label, 1e3 * float(jump), float(time[jumps[0]] - time[0])))
     return warnings

@@ -24,14 +24,14 @@ MAX_NUMBER = 1e12  # in any unit: larger than any measured number, and its squar
 
 
 @dataclass(frozen=True)
-class FoundColumn:
-    """A known column as a file has it.
+class FileColumn:
+    """A known column of a file.
 
     Attributes:
-        header: Its header.
-        unit: Its unit, from the header; empty for text.
-        factor: From that unit to SI.
-        range: Range of its numbers.
+        header: Header.
+        unit: Unit in the header; empty for text.
+        factor: Factor from that unit to SI.
+        range: Range of the numbers.
     """
 
     header: str
@@ -47,16 +47,16 @@ class ImpactCells:
     Attributes:
         path: The file.
         columns: Cells by header.
-        found: Known columns by name.
-        others: Headers of unknown columns.
+        by_name: Known columns by name.
+        unknown: Headers of unknown columns.
         scale: Factors by name of a column, for variants of the table [-].
         assumed: Assumptions by which columns were computed, as text.
     """
 
     path: Path
     columns: Mapping[str, list[str] | NDArray[Any]]
-    found: Mapping[str, FoundColumn]
-    others: tuple[str, ...]
+    by_name: Mapping[str, FileColumn]
+    unknown: tuple[str, ...]
     scale: Mapping[str, float] = field(default_factory=dict)
     assumed: tuple[str, ...] = ()
 
@@ -67,12 +67,12 @@ class ImpactCells:
     def __contains__(self, column: object) -> bool:
         """Whether the table has a column, by name, or some of the columns of a quantity."""
         if isinstance(column, ColumnGroup):
-            return any(name in self.found for name in column.names)
-        return column in self.found
+            return any(name in self.by_name for name in column.names)
+        return column in self.by_name
 
     def header(self, column: ColumnGroup) -> str:
         """Header of the first existing column of a quantity."""
-        return next(self.found[name].header for name in column.names if name in self.found)
+        return next(self.by_name[name].header for name in column.names if name in self.by_name)
 
     def error(self, row: int, where: str, value: object, message: str) -> InputError:
         """Error in a row.
@@ -87,11 +87,11 @@ class ImpactCells:
 
     def column_error(self, row: int, name: str, value: object, message: str) -> InputError:
         """Error in the cell of a known column."""
-        return self.error(row, f"column {self.found[name].header!r}", value, message)
+        return self.error(row, f"column {self.by_name[name].header!r}", value, message)
 
     def text(self, row: int, name: str) -> str:
         """A cell as text; empty if it is empty, or the table has no such column."""
-        return _text(self.columns[self.found[name].header][row]) if name in self.found else ""
+        return _text(self.columns[self.by_name[name].header][row]) if name in self.by_name else ""
 
     def value(self, row: int, name: str) -> float:
         """The number in a cell, in SI units.
@@ -99,7 +99,7 @@ class ImpactCells:
         Raises:
             InputError: The cell is empty, holds no finite number, or one outside the range of the column.
         """
-        column = self.found[name]
+        column = self.by_name[name]
         unit, cell = column.unit, self.columns[column.header][row]
         if not _text(cell):
             raise self.column_error(row, name, None, f"this cell is empty; expected a number [{unit}]")
@@ -125,7 +125,7 @@ class ImpactCells:
         return np.array([self.value(row, name) for name in names])
 
     def circumstances(self, covariates: Mapping[str, str]) -> list[dict[str, float | str]]:
-        """Covariates of every row: numbers where a whole column holds such, else names of levels.
+        """Covariates of every row: numbers if all cells of the column are numbers, else names of levels.
 
         Args:
             covariates: Headers by name.
@@ -133,7 +133,7 @@ class ImpactCells:
         Raises:
             InputError: A cell is empty, or a number is not finite.
         """
-        found: list[dict[str, float | str]] = [{} for _ in range(len(self))]
+        rows: list[dict[str, float | str]] = [{} for _ in range(len(self))]
         for name, header in covariates.items():
             levels = [_text(cell) for cell in self.columns[header]]
             for row, level in enumerate(levels):
@@ -144,8 +144,8 @@ class ImpactCells:
             for row, value in enumerate(values):
                 if isinstance(value, float) and not np.isfinite(value):
                     raise self.error(row, f"column {header!r}", value, "expected a finite number")
-                found[row][name] = value
-        return found
+                rows[row][name] = value
+        return rows
 
 
 def name_of_row(number: int) -> str:
@@ -153,12 +153,12 @@ def name_of_row(number: int) -> str:
     return f"row {number}"
 
 
-def read_cells(path: Path, known: Iterable[ColumnGroup]) -> ImpactCells:
+def read_cells(path: Path, groups: Iterable[ColumnGroup]) -> ImpactCells:
     """Read a table of impacts.
 
     Args:
         path: CSV or Parquet file.
-        known: ColumnGroup that are read.
+        groups: Known columns.
 
     Raises:
         InputError: It is no table, has no row, or a column has an unknown unit.
@@ -170,43 +170,43 @@ def read_cells(path: Path, known: Iterable[ColumnGroup]) -> ImpactCells:
         header: [str(stamp) for stamp in np.asarray(cells).astype("datetime64[ns]")] if header in table.dates else cells
         for header, cells in table.cells.items()
     }
-    by_name = {name: one for one in known for name in one.names}
-    found: dict[str, FoundColumn] = {}
-    others: list[str] = []
+    groups_by_name = {name: group for group in groups for name in group.names}
+    by_name: dict[str, FileColumn] = {}
+    unknown: list[str] = []
     for header in columns:
         name, unit = name_and_unit(header)
-        if name in found:
-            message = f"columns {found[name].header!r} and {header!r}: expected one of them"
-            raise InputError(message, file=path)
         if name in by_name:
-            found[name] = _found(path, header, name, unit, by_name[name])
+            message = f"columns {by_name[name].header!r} and {header!r}: expected one of them"
+            raise InputError(message, file=path)
+        if name in groups_by_name:
+            by_name[name] = _file_column(path, header, name, unit, groups_by_name[name])
         else:
-            others.append(header)
-    cells = ImpactCells(path, columns, found, tuple(others))
+            unknown.append(header)
+    cells = ImpactCells(path, columns, by_name, tuple(unknown))
     if not len(cells):
         raise InputError("no rows; expected one per impact", file=path)
     return cells
 
 
-def _found(path: Path, header: str, name: str, unit: str, column: ColumnGroup) -> FoundColumn:
+def _file_column(path: Path, header: str, name: str, unit: str, column: ColumnGroup) -> FileColumn:
     """A known column, with the factor of the unit in its header."""
     factors = FACTORS[column.unit] if column.unit else FACTORS["-"]
     if not unit and column.unit in ("", "-"):
-        return FoundColumn(header, column.unit, 1.0, column.range)
+        return FileColumn(header, column.unit, 1.0, column.range)
     if unit not in factors:
         message = f"unit {unit!r}" if "[" in header else "no unit"
-        expected = " or ".join(f"'{with_unit(name, one)}'" for one in factors)
+        expected = " or ".join(f"'{with_unit(name, alternative)}'" for alternative in factors)
         raise InputError(f"column {header!r} has {message}; expected {expected}", file=path)
-    return FoundColumn(header, unit, factors[unit], column.range)
+    return FileColumn(header, unit, factors[unit], column.range)
 
 
 def _text(cell: object) -> str:
-    """A cell as text; numbers that are missing in a Parquet file are empty cells."""
+    """A cell as text; a missing number of a Parquet file is an empty cell."""
     return "" if isinstance(cell, float | np.floating) and np.isnan(cell) else str(cell).strip()
 
 
 def _numbers(texts: Sequence[str]) -> list[float] | None:
-    """Numbers of all cells of a column; None where one is something else."""
+    """Numbers of all cells of a column; None: some cell holds no number."""
     try:
         return [decimal(text) for text in texts]
     except ValueError:

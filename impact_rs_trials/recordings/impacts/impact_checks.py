@@ -8,20 +8,22 @@ impulses L act at these points alone (paper eq. EOM_link, integrated over the im
 
 so that, whatever L is,
 
-1. *momentum* outside the range of J_c^T does not change: of a free body with one contact point the angular momentum
-   about that point, with two that about the line through them. In the energy norm, H = C C^T,
+1. *momentum* outside the range of J_c^T does not change. For a free body with one contact point this is the angular
+   momentum about that point; with two points, about the line through them. In the energy norm, H = C C^T,
 
        m v_1^2 = |(1 - A A^+) C^T (u^+ - u^-)|^2,        A = C^-1 J_c^T
 
 2. *bodies do not enter each other*: v_2 = max(0, -n . J_c u^+) at every contact,
 3. *energy* does not grow: sqrt(m) v_3 = max(0, |C^T u^+| - |C^T u^-|).
 
-All three are speeds of the body with mass m. A column with a wrong sign or unit makes their rms large. Which one, is
-tried out: the factor that makes all three vanish is named, or several where they cannot be distinguished. Without such
-a factor only free bodies are reported: joints of real arms do not jump as the joints of a rigid arm.
+All three are speeds of the body with mass m. A column with a wrong sign or unit makes their rms large. To find the
+column, common factors are tried; the warning names the factor that makes all three vanish, or several factors that the
+data do not distinguish. Without such a factor only free bodies are reported: joints of real arms do not jump as the
+joints of a rigid arm.
 
 Angular velocities, or both velocities, of free bodies may be given in axes of another frame: with z and y exchanged, or
-of a left-handed frame. All 24 turns of a frame onto its own axes are tried out, and their mirrors (:func:`other_axes`).
+in a left-handed frame. All 24 rotations of a frame onto its own axes are tried, and their mirrors
+(:func:`other_axes`).
 """
 
 from __future__ import annotations
@@ -45,27 +47,27 @@ from impact_rs_trials.recordings.relations import evenly
 UNIT_FACTORS = (-1.0, np.pi / 180.0, 180.0 / np.pi, 1e-3, 1e3)  # sign, deg for rad, mm for m, and their inverses
 MAX_ROWS = 200  # of a table, evenly taken
 MIN_ROWS = 5
-MIN_VIOLATION_SHARE = 0.03  # of the whole change of velocity; below it noise and the geometry of the contact decide
-MAX_REMAINING_SHARE = 0.25  # of the squares; a factor that leaves more is no explanation
-MIN_CURED_ROWS_SHARE = 0.75  # of the rows that break a law, which a factor has to improve
-MAX_MISFIT_RATIO = 1.5  # to the best factor's; the data do not distinguish factors within it
+MIN_VIOLATION_SHARE = 0.03  # of the whole change of velocity; below it noise and contact geometry dominate
+MAX_REMAINING_SHARE = 0.25  # of the squared violation; a factor that leaves more is no explanation
+MIN_CURED_ROWS_SHARE = 0.75  # of the rows that break a law; a factor has to improve as many
+MAX_MISFIT_RATIO = 1.5  # to the rms with the best factor; the data do not distinguish factors within it
 MAX_SHOWN_ROWS = 3  # in a message
 MAX_ALIGNMENT_ERROR = 1e-6  # rad and -, rounding of rotations by right angles and of their axes
-NEIGHBOUR_ROWS = 8  # on either side of a row from which a column may be in another unit
-MIN_UNIT_RATIO = 20.0  # of sizes in two units (57 and more), less their scatter,
+NEIGHBOUR_ROWS = 8  # on either side of a row at which the unit of a column may change
+MIN_UNIT_RATIO = 20.0  # of median sizes after and before the change of a unit; deg for rad: 57, less the scatter
 MAX_SIZE_RATIO = 3.0  # of velocities before the impacts, below which their unit stays
-MIN_UNEXPLAINED_SHARE = 0.5  # of the whole change; so much is reported although no single factor explains it
+MIN_UNEXPLAINED_SHARE = 0.5  # of the whole change; a larger violation is reported although no factor explains it
 
 
 @dataclass(frozen=True)
 class Remedy:
-    """A factor of some columns.
+    """A factor that would correct some columns.
 
     Attributes:
-        columns: Their names.
+        columns: Names of the columns.
         factor: Factor of their numbers [-].
-        before: The same for every entry of u^-, ``(nv,)`` [-].
-        after: Of u^+, ``(nv,)`` [-].
+        before: Factor of every entry of u^-, ``(nv,)`` [-].
+        after: Factor of every entry of u^+, ``(nv,)`` [-].
     """
 
     columns: tuple[str, ...]
@@ -74,7 +76,7 @@ class Remedy:
     after: Array
 
     def covers(self, other: Remedy) -> bool:
-        """Whether the other one changes some of the same signals and no others."""
+        """Whether the signals of the other remedy are a subset of the signals of this one."""
         signals = [{name.rsplit("_", 1)[0] for name in remedy.columns} for remedy in (self, other)]
         return signals[1] <= signals[0]
 
@@ -87,13 +89,13 @@ class OtherAxes:
         of: Angular velocities alone, or also velocities of the centre.
         rotation: R, ``(3, 3)`` [-].
         sign: s; -1: left-handed axes [-].
-        left: Violation of the laws that remains with them, root mean square over the rows [m/s].
+        residual: Remaining violation of the laws with these axes, root mean square over the rows [m/s].
     """
 
     of: Literal["spins", "twists"]
     rotation: Array
     sign: float
-    left: float
+    residual: float
 
     @property
     def vector(self) -> Array:
@@ -103,10 +105,10 @@ class OtherAxes:
     @property
     def in_words(self) -> str:
         """Which velocities are in which axes."""
-        what = "angular velocities" if self.of == "spins" else "velocities and angular velocities"
+        velocities = "angular velocities" if self.of == "spins" else "velocities and angular velocities"
         angle = float(np.linalg.norm(self.vector))
         if angle < MAX_ALIGNMENT_ERROR:
-            return f"{what} are in left-handed axes"
+            return f"{velocities} are in left-handed axes"
         axis = self.vector / angle
         shares = [
             f"{'' if share > 0 else '-'}{name}"
@@ -115,7 +117,7 @@ class OtherAxes:
         ]
         about = shares[0] if len(shares) == 1 else f"({', '.join(f'{share:.3g}' for share in axis)})"
         hand = " left-handed" if self.sign < 0.0 else ""
-        return f"{what} are in{hand} axes turned by {np.degrees(angle):.0f} degrees about {about}"
+        return f"{velocities} are in{hand} axes turned by {np.degrees(angle):.0f} degrees about {about}"
 
 
 @dataclass(frozen=True)
@@ -124,12 +126,12 @@ class _Laws:
 
     Attributes:
         root: C^T over the root of the body's mass, ``(nv, nv)``.
-        kept: Projects C^T (u^+ - u^-) on what no contact changes, ``(nv, nv)`` [-].
+        invariant: Projector 1 - A A^+ onto the momenta that no contact changes, ``(nv, nv)`` [-].
         normals: n . J_c, ``(m, nv)``.
     """
 
     root: Array
-    kept: Array
+    invariant: Array
     normals: Array
 
     @classmethod
@@ -137,131 +139,138 @@ class _Laws:
         system = row.impact.system(row.physics, models)
         jacobian = system.jacobian(row.impact.points)
         root = np.linalg.cholesky(system.inertia)
-        changed = np.linalg.solve(root, jacobian.T)
-        kept = np.eye(len(root)) - changed @ np.linalg.pinv(changed, rcond=1e-9)
+        contact_directions = np.linalg.solve(root, jacobian.T)
+        invariant = np.eye(len(root)) - contact_directions @ np.linalg.pinv(contact_directions, rcond=1e-9)
         normals = np.array([point.normal for point in row.impact.points])
         return cls(
             root=root.T / np.sqrt(system.inertia[-6, -6]),  # m, of a fixed object 1 kg
-            kept=kept,
+            invariant=invariant,
             normals=np.einsum("mi,miv->mv", normals, jacobian.reshape(len(normals), 3, -1)),
         )
 
-    def broken(self, before: Array, after: Array) -> Array:
+    def violations(self, before: Array, after: Array) -> Array:
         """v_1, v_2 and v_3 of the module, ``(3,)`` [m/s]."""
-        momentum = np.linalg.norm(self.kept @ self.root @ (after - before))
-        inside = max(0.0, -float(np.min(self.normals @ after)))
-        gained = max(0.0, float(np.linalg.norm(self.root @ after) - np.linalg.norm(self.root @ before)))
-        return np.array([momentum, inside, gained])
+        momentum = np.linalg.norm(self.invariant @ self.root @ (after - before))
+        penetration = max(0.0, -float(np.min(self.normals @ after)))
+        energy_gain = max(0.0, float(np.linalg.norm(self.root @ after) - np.linalg.norm(self.root @ before)))
+        return np.array([momentum, penetration, energy_gain])
 
 
 def warnings_of(table: ImpactTable) -> list[str]:
-    """Laws that the numbers of a table break whatever the contact is like, with the most likely mistake.
+    """Violated laws of the table that hold for every contact, each with the most likely mistake.
 
     Args:
         table: Impacts with velocities after them.
     """
-    rows, laws = _looked_at(table)
+    rows, laws = _rows_and_laws(table)
     if not rows:
         return []
     before = np.array(
         [[*(v for arm in row.impact.arms.values() for v in arm.velocity), *row.impact.object.twist] for row in rows]
     )
     after = np.array([row.after for row in rows])
-    scaled = _other_scale(table, rows, before, after)
-    broken = _broken(laws, before, after)
-    whole = _rms([float(np.linalg.norm(law.root @ change)) for law, change in zip(laws, after - before, strict=True)])
-    speeds = np.linalg.norm(broken, axis=1)
+    scale_warnings = _scale_warnings(table, rows, before, after)
+    violations = _violations(laws, before, after)
+    whole_change = _rms(
+        [float(np.linalg.norm(law.root @ change)) for law, change in zip(laws, after - before, strict=True)]
+    )
+    speeds = np.linalg.norm(violations, axis=1)
     size = _rms(speeds)
-    if size <= MIN_VIOLATION_SHARE * whole:
-        return scaled
-    found = []
+    if size <= MIN_VIOLATION_SHARE * whole_change:
+        return scale_warnings
+    candidates = []
     for remedy in remedies(table):
-        tried = np.linalg.norm(_broken(laws, remedy.before * before, remedy.after * after), axis=1)
-        wrong = speeds > MIN_VIOLATION_SHARE * whole
-        if np.any(wrong) and float(np.mean(tried[wrong] < speeds[wrong])) >= MIN_CURED_ROWS_SHARE:
-            found.append((_rms(tried), remedy))
-    law = _in_words(np.sqrt(np.mean(np.square(broken), axis=0)), whole)
-    left = min((rest for rest, _ in found), default=np.inf)
+        remaining = np.linalg.norm(_violations(laws, remedy.before * before, remedy.after * after), axis=1)
+        wrong = speeds > MIN_VIOLATION_SHARE * whole_change
+        if np.any(wrong) and float(np.mean(remaining[wrong] < speeds[wrong])) >= MIN_CURED_ROWS_SHARE:
+            candidates.append((_rms(remaining), remedy))
+    law = _in_words(np.sqrt(np.mean(np.square(violations), axis=0)), whole_change)
+    best = min((residual for residual, _ in candidates), default=np.inf)
     axes = [
         other
         for other in other_axes(table)
-        if MAX_MISFIT_RATIO * other.left < left and other.left**2 < MAX_REMAINING_SHARE * size**2
+        if MAX_MISFIT_RATIO * other.residual < best and other.residual**2 < MAX_REMAINING_SHARE * size**2
     ]
     if axes:
         where = ", or ".join(other.in_words for other in axes[:MAX_SHOWN_ROWS])
-        return [f"{law}: wrong axes? {axes[0].left:.2g} m/s are left where {where}", *scaled]
-    if left**2 < MAX_REMAINING_SHARE * size**2:
+        return [f"{law}: wrong axes? {axes[0].residual:.2g} m/s are left where {where}", *scale_warnings]
+    if best**2 < MAX_REMAINING_SHARE * size**2:
         simplest: list[Remedy] = []
-        for rest, remedy in found:
-            if rest <= MAX_MISFIT_RATIO * left and not any(remedy.covers(other) for other in simplest):
+        for residual, remedy in candidates:
+            if residual <= MAX_MISFIT_RATIO * best and not any(remedy.covers(other) for other in simplest):
                 simplest.append(remedy)
         words = [f"factor: {remedy.factor:.4g} for {', '.join(remedy.columns)}" for remedy in simplest[:MAX_SHOWN_ROWS]]
-        return [f"{law}: wrong sign or unit? {left:.2g} m/s are left with {', or '.join(words)}", *scaled]
-    if size > MIN_UNEXPLAINED_SHARE * whole and not table.arms:
-        return [f"{law}: no factor of one signal explains it; are contact points, axes and inertia right?", *scaled]
-    return scaled
+        return [f"{law}: wrong sign or unit? {best:.2g} m/s are left with {', or '.join(words)}", *scale_warnings]
+    if size > MIN_UNEXPLAINED_SHARE * whole_change and not table.arms:
+        return [
+            f"{law}: no factor of one signal explains it; are contact points, axes and inertia right?",
+            *scale_warnings,
+        ]
+    return scale_warnings
 
 
 def other_axes(table: ImpactTable) -> list[OtherAxes]:
-    """Axes by right angles that velocities of free bodies may have been measured in, the most likely first.
+    """Right-angled axes in which velocities of free bodies may have been measured, the most likely first.
 
-    Laws of every contact decide, so that no law of friction or restitution has to be known. Turns are looked at that
-    close all contacts; those that the laws do not distinguish from the best are given as well.
+    The laws of the module decide; friction and restitution need not be known. Only axes in which all contacts close are
+    candidates. Axes that the laws do not distinguish from the best ones are returned as well.
 
     Args:
         table: Impacts with velocities after them.
 
     Returns:
-        None where the axes of the table do as well as any others, or where nothing turns.
+        Empty if the axes of the table do as well as any others, or no body turns.
     """
-    rows, laws = ([], []) if table.arms or not (table.turning and table.centre) else _looked_at(table)
+    rows, laws = ([], []) if table.arms or not (table.turning and table.centre) else _rows_and_laws(table)
     if not rows:
         return []
     twists = np.array([[row.impact.object.twist, row.after] for row in rows])  # (k, 2, 6)
 
-    def left(rotation: Array, of: str, sign: float) -> float:
-        """Rms of what breaks the laws; infinite where a contact does not close."""
+    def residual_with(rotation: Array, of: str, sign: float) -> float:
+        """Rms violation of the laws [m/s]; infinite if a contact does not close."""
         true = twists.copy()
         true[..., 3:] = sign * twists[..., 3:] @ rotation  # R^T applied to rows
         if of == "twists":
             true[..., :3] = twists[..., :3] @ rotation
         if any(not np.min(law.normals @ before) < 0.0 for law, (before, _) in zip(laws, true, strict=True)):
             return np.inf
-        return _rms(np.linalg.norm(_broken(laws, true[:, 0], true[:, 1]), axis=1))
+        return _rms(np.linalg.norm(_violations(laws, true[:, 0], true[:, 1]), axis=1))
 
-    here = left(np.eye(3), "spins", 1.0)
+    residual_of_table = residual_with(np.eye(3), "spins", 1.0)
     kinds: tuple[tuple[Literal["spins", "twists"], float], ...] = (("spins", 1.0), ("spins", -1.0), ("twists", 1.0))
-    tried = [
-        OtherAxes(of, rotation, sign, left(rotation, of, sign))
+    candidates = [
+        OtherAxes(of, rotation, sign, residual_with(rotation, of, sign))
         for of, sign in kinds
-        for rotation in _turns()
+        for rotation in _right_angle_frames()
         if sign < 0.0 or not np.allclose(rotation, np.eye(3))
     ]
-    best = min(other.left for other in tried)
-    if not MAX_MISFIT_RATIO * best < here:
+    best = min(other.residual for other in candidates)
+    if not MAX_MISFIT_RATIO * best < residual_of_table:
         return []
-    alike = sorted((other for other in tried if other.left <= MAX_MISFIT_RATIO * best), key=lambda other: other.left)
-    # A ball on one plane keeps its spin about the normal: its sense, and so the hand of the axes, is not seen.
-    return [other for other in alike if other.sign > 0.0] or alike
+    closest = sorted(
+        (other for other in candidates if other.residual <= MAX_MISFIT_RATIO * best), key=lambda other: other.residual
+    )
+    # The spin of a ball about the normal of its plane does not change: its sign, and so the handedness, is unknown.
+    return [other for other in closest if other.sign > 0.0] or closest
 
 
-def _broken(laws: Sequence[_Laws], before: Array, after: Array) -> Array:
-    """v_1, v_2 and v_3 of the module of every row, ``(k, 3)`` [m/s], from velocities ``(k, nv)``."""
-    return np.array([law.broken(*pair) for law, *pair in zip(laws, before, after, strict=True)])
+def _violations(laws: Sequence[_Laws], before: Array, after: Array) -> Array:
+    """v_1, v_2 and v_3 of every row, ``(k, 3)`` [m/s], from velocities before and after, ``(k, nv)`` each."""
+    return np.array([law.violations(*pair) for law, *pair in zip(laws, before, after, strict=True)])
 
 
-def _turns() -> list[Array]:
-    """The 24 turns of a right-handed frame onto its own axes."""
-    found = [
+def _right_angle_frames() -> list[Array]:
+    """The 24 rotations of a right-handed frame onto its own axes."""
+    frames = [
         np.array([sign * np.eye(3)[axis] for axis, sign in zip(order, signs, strict=True)])
         for order in permutations(range(3))
         for signs in product((1.0, -1.0), repeat=3)
     ]
-    return [turn for turn in found if np.linalg.det(turn) > 0.0]
+    return [frame for frame in frames if np.linalg.det(frame) > 0.0]
 
 
-def _looked_at(table: ImpactTable) -> tuple[list[ImpactRow], list[_Laws]]:
-    """Rows, evenly taken, with the laws of each; empty for a table with too few."""
+def _rows_and_laws(table: ImpactTable) -> tuple[list[ImpactRow], list[_Laws]]:
+    """At most ``MAX_ROWS`` evenly spaced rows and the laws of each; empty if the table has too few rows."""
     chosen = evenly(len(table.rows), MAX_ROWS).tolist()
     if len(chosen) < MIN_ROWS:
         return [], []
@@ -273,56 +282,63 @@ def _looked_at(table: ImpactTable) -> tuple[list[ImpactRow], list[_Laws]]:
     return rows, [_Laws.of(row, models[id(row.physics)]) for row in rows]
 
 
-def _other_scale(table: ImpactTable, rows: Sequence[ImpactRow], before: Array, after: Array) -> list[str]:
-    """Velocities after impacts that are of another size from a row on, where those before are not; ``(k, nv)``."""
+def _scale_warnings(table: ImpactTable, rows: Sequence[ImpactRow], before: Array, after: Array) -> list[str]:
+    """Warning if velocities after the impacts change their scale from one row on, and velocities before do not.
+
+    Args:
+        table: Names of the columns.
+        rows: Looked at rows.
+        before: Velocities before, ``(k, nv)`` [rad/s, m/s].
+        after: Velocities after, ``(k, nv)`` [rad/s, m/s].
+    """
     if len(rows) < 2 * NEIGHBOUR_ROWS:
         return []
-    before_jumps, after_jumps = _jumps_of_size(before), _jumps_of_size(after)
+    before_jumps, after_jumps = _size_ratios(before), _size_ratios(after)
     steady = np.all((before_jumps < MAX_SIZE_RATIO) & (before_jumps > 1.0 / MAX_SIZE_RATIO), axis=1)
     sizes = np.where(steady[:, None], np.maximum(after_jumps, 1.0 / after_jumps), 1.0)
-    place, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-    if sizes[place, column] < MIN_UNIT_RATIO:
+    window, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    if sizes[window, column] < MIN_UNIT_RATIO:
         return []
     row, name = (
-        rows[int(place) + NEIGHBOUR_ROWS].number,
+        rows[int(window) + NEIGHBOUR_ROWS].number,
         _signals(table, col.DQ_AFTER, col.V_AFTER, col.W_AFTER)[int(column)],
     )
     return [
-        f"{name} is {after_jumps[place, column]:.2g} times as large from row {row} on, while nothing changes "
+        f"{name} is {after_jumps[window, column]:.2g} times as large from row {row} on, while nothing changes "
         "before the impacts: another unit?"
     ]
 
 
-def _jumps_of_size(columns: Array) -> Array:
+def _size_ratios(columns: Array) -> Array:
     """Ratio of median sizes after and before a row, ``(k - 2 NEIGHBOUR_ROWS + 1, nv)`` [-]; 1 if one is 0."""
     windows = np.lib.stride_tricks.sliding_window_view(np.abs(columns), NEIGHBOUR_ROWS, axis=0)
     sizes = np.median(windows, axis=-1)
     earlier, later = sizes[:-NEIGHBOUR_ROWS], sizes[NEIGHBOUR_ROWS:]
-    known = (earlier > 0.0) & (later > 0.0)
-    return np.where(known, later / np.where(known, earlier, 1.0), 1.0)
+    moving = (earlier > 0.0) & (later > 0.0)
+    return np.where(moving, later / np.where(moving, earlier, 1.0), 1.0)
 
 
 def _signals(table: ImpactTable, joints: JointColumnGroup, *of_body: ColumnGroup) -> list[str]:
     """Names of the columns of all velocities before or after."""
     arms = table.rows[0].physics.arms
-    of_arms = [name for arm, own in arms.items() for name in joints.names(arm_label(arm, arms), own.facts)]
-    return [*of_arms, *(name for one in of_body for name in one.names)]
+    joint_names = [name for arm, physics in arms.items() for name in joints.names(arm_label(arm, arms), physics.facts)]
+    return [*joint_names, *(name for columns in of_body for name in columns.names)]
 
 
 def _rms(values: Array | list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _in_words(broken: Array, whole: float) -> str:
+def _in_words(violations: Array, whole_change: float) -> str:
     """The most violated law, with the size of the violation."""
-    what = (
+    law = (
         "the momentum that no impulse at the contact points can change (with one of them, the angular momentum about "
         "it) changes",
         "after the impact the bodies move into each other",
         "the kinetic energy grows",
-    )[int(np.argmax(broken))]
-    size = float(broken.max())
-    return f"{what} by {size:.2g} m/s rms, {100.0 * size / whole:.0f} % of the whole change of velocity"
+    )[int(np.argmax(violations))]
+    size = float(violations.max())
+    return f"{law} by {size:.2g} m/s rms, {100.0 * size / whole_change:.0f} % of the whole change of velocity"
 
 
 def remedies(table: ImpactTable) -> Iterator[Remedy]:
@@ -333,15 +349,15 @@ def remedies(table: ImpactTable) -> Iterator[Remedy]:
     }
     count = len(sides["before"])
     linear, angular = ([*range(first, first + 3)] for first in (count - 6, count - 3))
-    groups = [[place] for place in range(count)]
+    groups = [[index] for index in range(count)]
     # If an axis is mirrored in lever and velocity, the other two angular velocities seem to be wrong.
-    groups += [[place for place in angular if place != mirrored] for mirrored in angular]
+    groups += [[index for index in angular if index != mirrored] for mirrored in angular]
     groups += [linear, angular]
-    for places in groups:
-        for factor in UNIT_FACTORS if len(places) == len(AXES) else (-1.0,):
-            for tried in (("before", "after"), ("after",), ("before",)):
+    for indices in groups:
+        for factor in UNIT_FACTORS if len(indices) == len(AXES) else (-1.0,):
+            for chosen_sides in (("before", "after"), ("after",), ("before",)):
                 scaled = {side: np.ones(count) for side in sides}
-                for side in tried:
-                    scaled[side][places] = factor
-                columns = tuple(sides[side][place] for place in places for side in tried)
+                for side in chosen_sides:
+                    scaled[side][indices] = factor
+                columns = tuple(sides[side][index] for index in indices for side in chosen_sides)
                 yield Remedy(columns, factor, scaled["before"], scaled["after"])

@@ -49,7 +49,9 @@ class ColumnGroup:
         names: Their names, without units.
         unit: SI unit; empty: a column of text.
         meaning: Description for the documentation.
+        needed: Tables that need the columns, for the documentation.
         range: Range of the numbers.
+        instead_of: Name of the column that these columns replace; empty: none.
     """
 
     names: tuple[str, ...]
@@ -81,14 +83,14 @@ class ColumnGroup:
 
 @dataclass(frozen=True)
 class JointColumnGroup:
-    """Columns of one quantity: of the base where it floats, then of all joints of an arm.
+    """Columns of one quantity of an arm: of its floating base, if it has one, then of all joints.
 
     Attributes:
         pattern: Name with ``{}`` for the number of the joint.
-        quantity: Attribute of :class:`~impact_rs_sim.robots.robot.JointUnits`, which has the unit.
-        meaning: Meaning, for the documentation.
-        needed: Which tables need them, for the documentation.
-        range: Which numbers they may hold.
+        quantity: Attribute of :class:`~impact_rs_sim.robots.robot.JointUnits` with the unit.
+        meaning: Description for the documentation.
+        needed: Tables that need the columns, for the documentation.
+        range: Range of the numbers.
         of_base: Columns of the base.
     """
 
@@ -101,7 +103,7 @@ class JointColumnGroup:
 
     def names(self, label: str, facts: RobotFacts) -> tuple[str, ...]:
         """Names for an arm; arguments as :meth:`of_arm`."""
-        return tuple(name for one in self.of_arm(label, facts) for name in one.names)
+        return tuple(name for column in self.of_arm(label, facts) for name in column.names)
 
     def of_arm(self, label: str, facts: RobotFacts) -> Iterator[ColumnGroup]:
         """The columns of a floating base, and a column for each joint of an arm, whose units may differ.
@@ -111,7 +113,7 @@ class JointColumnGroup:
             facts: Its joints, and whether its base floats.
         """
         if facts.floating_base is not None:
-            yield from (one.of_arm(label) for one in self.of_base)
+            yield from (column.of_arm(label) for column in self.of_base)
         for joint, unit in enumerate(facts.units, start=1):
             name = label + self.pattern.format(joint)
             yield ColumnGroup((name,), getattr(unit, self.quantity), self.meaning, range=self.range)
@@ -134,7 +136,7 @@ def name_and_unit(header: str) -> tuple[str, str]:
 
 
 def is_joint_column(name: str) -> bool:
-    """Whether a name belongs to a joint of some arm, or to its base where that floats."""
+    """Whether a column of that name belongs to a joint or to the floating base of some arm."""
     return JOINT_NAME.fullmatch(name) is not None or name.rpartition(".")[2] in BASE_NAMES
 
 
@@ -350,7 +352,7 @@ JOINT_COLUMNS = (Q, DQ_BEFORE, DQ_AFTER, MOTOR_INERTIA)
 _STEMS, _TAILS = (
     "|".join(dict.fromkeys(columns.pattern.split("{}")[part] for columns in JOINT_COLUMNS)) for part in (0, 1)
 )
-BASE_NAMES = frozenset(name for joints in JOINT_COLUMNS for one in joints.of_base for name in one.names)
+BASE_NAMES = frozenset(name for joints in JOINT_COLUMNS for column in joints.of_base for name in column.names)
 JOINT_NAME = re.compile(rf"(?:.+\.)?(?:{_STEMS})[0-9]+(?:{_TAILS})")  # of any arm
 
 # Written by impact-rs impacts, so that a row can be found again; not read.
@@ -363,15 +365,15 @@ LAW = ColumnGroup(("law after",), "", "law that was fitted to the motion after t
 def documentation() -> str:
     """The table of columns in Markdown."""
     rows = []
-    for one in COLUMNS:
-        if one not in POINTS[1:]:
-            rows.append((", ".join(f"`{name}`" for name in one.names), one.unit, one.needed, one.meaning))
-        if one == RESTITUTION:
+    for column in COLUMNS:
+        if column not in POINTS[1:]:
+            rows.append((", ".join(f"`{name}`" for name in column.names), column.unit, column.needed, column.meaning))
+        if column == RESTITUTION:
             for joints in JOINT_COLUMNS:
                 first, second = (joints.pattern.format(joint) for joint in (1, 2))
                 unit = getattr(UNITS["revolute"], joints.quantity)
                 rows.append((f"`{first}`, `{second}` ...", unit, joints.needed, joints.meaning))
-            for base in (one for joints in JOINT_COLUMNS for one in joints.of_base):
+            for base in (column for joints in JOINT_COLUMNS for column in joints.of_base):
                 rows.append((", ".join(f"`{name}`" for name in base.names), base.unit, base.needed, base.meaning))
     lines = [("Column", "Unit", "Needed", "Meaning"), ("---",) * 4, *rows]
     text = "\n".join("|" + "|".join(f" {cell} " if cell else " " for cell in line) + "|" for line in lines)

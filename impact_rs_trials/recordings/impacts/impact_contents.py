@@ -54,9 +54,9 @@ class TableContents:
             scenario,
             questions,
             ball=col.RADIUS in cells,
-            shaped=any(one in cells for one in (col.SIZE, col.RADIUS, col.MESH)),
-            joints=any(one in cells for one in _of_joints(scenario, col.DQ_AFTER)),
-            centre=col.V_AFTER in cells or not any(one in cells for one in col.DISTANCES),
+            shaped=any(column in cells for column in (col.SIZE, col.RADIUS, col.MESH)),
+            joints=any(column in cells for column in _joint_columns(scenario, col.DQ_AFTER)),
+            centre=col.V_AFTER in cells or not any(column in cells for column in col.DISTANCES),
             turning=col.W_AFTER in cells,
         )
 
@@ -82,10 +82,10 @@ def read_with_contents(
     if scenario is not None and scenario.neighbours:
         text = f"scenario {scenario.name!r} has neighbours, whose poses no table has: {', '.join(scenario.neighbours)}"
         raise InputError(f"{text}; take trials (diagnose DIRECTORY), or a scenario without neighbours", file=path)
-    known = [*col.COLUMNS, *(one for columns in col.JOINT_COLUMNS for one in _of_joints(scenario, columns))]
-    cells = with_velocities(read_cells(path, known))
+    groups = [*col.COLUMNS, *(column for columns in col.JOINT_COLUMNS for column in _joint_columns(scenario, columns))]
+    cells = with_velocities(read_cells(path, groups))
     declared = _declared(cells, covariates)
-    _check_others(cells, known, scenario, declared)
+    _check_others(cells, groups, scenario, declared)
     contents = TableContents.of(cells, scenario, questions)
     for contradiction in _contradictions(cells, contents):
         raise InputError(contradiction, file=path)
@@ -95,13 +95,15 @@ def read_with_contents(
 
 def unread(cells: ImpactCells, contents: TableContents, covariates: dict[str, str]) -> tuple[str, ...]:
     """Headers of the columns that are not used."""
-    others = [header for header in cells.others if header not in covariates.values()]
+    headers = [header for header in cells.unknown if header not in covariates.values()]
     if contents.centre:
-        others += [cells.header(one) for one in col.COLUMNS if one in cells and one.instead_of == col.V_AFTER.first]
-    return tuple(others)
+        headers += [
+            cells.header(column) for column in col.COLUMNS if column in cells and column.instead_of == col.V_AFTER.first
+        ]
+    return tuple(headers)
 
 
-def _of_joints(scenario: Scenario | None, columns: JointColumnGroup) -> Iterator[ColumnGroup]:
+def _joint_columns(scenario: Scenario | None, columns: JointColumnGroup) -> Iterator[ColumnGroup]:
     """Columns of all joints of all arms."""
     robots = {} if scenario is None else scenario.robots
     for arm, robot in robots.items():
@@ -110,30 +112,30 @@ def _of_joints(scenario: Scenario | None, columns: JointColumnGroup) -> Iterator
 
 def _declared(cells: ImpactCells, covariates: Sequence[str]) -> dict[str, str]:
     """Headers of the covariates by their names."""
-    there = {name_and_unit(header)[0]: header for header in cells.columns}
-    for place, name in enumerate(covariates):
-        if name in covariates[:place]:
+    headers = {name_and_unit(header)[0]: header for header in cells.columns}
+    for position, name in enumerate(covariates):
+        if name in covariates[:position]:
             raise InputError(f"column {name!r} is named twice", file=cells.path, key="--covariates")
-        if name not in there:
-            text = f"no column {name!r}{did_you_mean(name, there)}; there are: {', '.join(there)}"
+        if name not in headers:
+            text = f"no column {name!r}{did_you_mean(name, headers)}; there are: {', '.join(headers)}"
             raise InputError(text, file=cells.path, key="--covariates")
-    return {name: there[name] for name in covariates}
+    return {name: headers[name] for name in covariates}
 
 
 def _check_others(
-    cells: ImpactCells, known: Sequence[ColumnGroup], scenario: Scenario | None, declared: dict[str, str]
+    cells: ImpactCells, groups: Sequence[ColumnGroup], scenario: Scenario | None, declared: dict[str, str]
 ) -> None:
-    """Refuse unknown columns that belong to joints, or resemble a known one."""
-    undeclared = [header for header in cells.others if header not in declared.values()]
+    """Refuse unknown columns that belong to joints, or resemble a known column."""
+    undeclared = [header for header in cells.unknown if header not in declared.values()]
     joints = [header for header in undeclared if is_joint_column(name_and_unit(header)[0])]
     if joints and scenario is None:
-        text = "is of an arm; --scenario NAME says which robot, pad and support there were"
+        text = "belongs to an arm; give robot, pad and support with --scenario NAME"
         raise InputError(f"column {joints[0]!r} {text}", file=cells.path)
     if joints and scenario is not None:
         counts = ", ".join(f"{arm} has {robot.robot_facts.joint_count}" for arm, robot in scenario.robots.items())
-        text = f"column {joints[0]!r} is of no joint and no floating base of scenario {scenario.name!r} ({counts})"
+        text = f"column {joints[0]!r} belongs to no joint or floating base of scenario {scenario.name!r} ({counts})"
         raise InputError(text, file=cells.path)
-    free = {name: one.unit for one in known for name in one.names if name not in cells}
+    free = {name: group.unit for group in groups for name in group.names if name not in cells}
     for header in undeclared:
         if close := get_close_matches(name_and_unit(header)[0], free, n=1, cutoff=MIN_SIMILARITY):
             meant = with_unit(close[0], free[close[0]])
@@ -143,25 +145,25 @@ def _check_others(
 def _check_needed(cells: ImpactCells, contents: TableContents) -> None:
     """Refuse a table that lacks a column."""
     if contents.scenario is None and not any(name in cells for name in (*col.V_BEFORE.names, *col.POSITION.names)):
-        ways = " or ".join(repr(one.header) for one in col.FLIGHTS_BEFORE)
+        alternatives = " or ".join(repr(column.header) for column in col.FLIGHTS_BEFORE)
         text = f"no velocity before the impacts: expected {col.V_BEFORE.header!r} ..., or of a ball that falls straight"
-        raise InputError(f"{text} {ways}; {_there(cells)}", file=cells.path)
-    for one in _needed(cells, contents):
-        for name, wanted in zip(one.names, one.headers, strict=True):
+        raise InputError(f"{text} {alternatives}; {_available(cells)}", file=cells.path)
+    for column in _needed(cells, contents):
+        for name, header in zip(column.names, column.headers, strict=True):
             if name not in cells:
-                near = did_you_mean(wanted, cells.others)
-                raise InputError(f"no column {wanted!r}{near}; {_there(cells)}", file=cells.path)
+                suggestion = did_you_mean(header, cells.unknown)
+                raise InputError(f"no column {header!r}{suggestion}; {_available(cells)}", file=cells.path)
     if col.SHAPE in cells and col.SIZE not in cells:
         raise InputError(f"column {col.SHAPE.first!r} without {col.SIZE.header!r} ...: its extents", file=cells.path)
     if contents.scenario is None and not (contents.shaped or col.POINTS[0] in cells):
         text = f"expected its size ({col.SIZE.header!r} ...) or contact points ({col.POINTS[0].header!r} ...)"
-        raise InputError(f"nothing says where the body touches; {text}; {_there(cells)}", file=cells.path)
+        raise InputError(f"nothing says where the body touches; {text}; {_available(cells)}", file=cells.path)
     if contents.scenario is None and not (contents.shaped or col.MOMENTS in cells):
         text = f"expected principal moments ({col.MOMENTS.header!r} ...) or its size ({col.SIZE.header!r} ...)"
-        raise InputError(f"nothing says how hard the body is to turn; {text}; {_there(cells)}", file=cells.path)
+        raise InputError(f"nothing says how hard the body is to turn; {text}; {_available(cells)}", file=cells.path)
 
 
-def _there(cells: ImpactCells) -> str:
+def _available(cells: ImpactCells) -> str:
     return f"there are: {', '.join(cells.columns)}"
 
 
@@ -172,37 +174,37 @@ def _needed(cells: ImpactCells, contents: TableContents) -> Iterator[ColumnGroup
     if contents.centre and not contents.questions:
         yield col.V_AFTER
     joints = [col.Q, col.DQ_BEFORE, *([col.DQ_AFTER] if contents.joints and not contents.questions else [])]
-    if any(one in cells for one in _of_joints(contents.scenario, col.MOTOR_INERTIA)):
+    if any(column in cells for column in _joint_columns(contents.scenario, col.MOTOR_INERTIA)):
         joints.append(col.MOTOR_INERTIA)
     for columns in joints:
-        yield from _of_joints(contents.scenario, columns)
+        yield from _joint_columns(contents.scenario, columns)
     if contents.scenario is None:
         yield col.MASS
     after = (col.V_AFTER, col.W_AFTER) if contents.questions else ()
-    yield from (one for one in col.COLUMNS if one in cells and one not in after)  # all components, or none
+    yield from (column for column in col.COLUMNS if column in cells and column not in after)  # all components, or none
 
 
 def _contradictions(cells: ImpactCells, contents: TableContents) -> Iterator[str]:
-    """Columns that a table cannot have, or not without or beside another, in words."""
+    """Errors, in words: columns that exclude or require each other, or do not fit the kind of rows."""
     header, scenario = cells.header, contents.scenario
     shaped = "" if scenario is None else f"scenario {scenario.name!r} has the shape of its objects"
     if contents.ball and scenario is not None:
         yield f"column {header(col.RADIUS)!r} is of a free ball; {shaped}"
     if col.SHELL in cells and not contents.ball:
         yield f"column {header(col.SHELL)!r} without {col.RADIUS.header!r}: it is of balls"
-    for one in (col.SHAPE, col.MESH, col.SIZE, col.POINTS[0]):
-        if contents.ball and one in cells:
-            both = f"columns {header(col.RADIUS)!r} and {header(one)!r}"
-            yield f"{both}: expected one of them; a ball touches below its centre"
-    for one in (col.SHAPE, col.MESH):
-        if scenario is not None and one in cells:
-            yield f"column {header(one)!r} is of a free body; {shaped}"
+    for column in (col.SHAPE, col.MESH, col.SIZE, col.POINTS[0]):
+        if contents.ball and column in cells:
+            pair = f"columns {header(col.RADIUS)!r} and {header(column)!r}"
+            yield f"{pair}: expected one of them; a ball touches below its centre"
+    for column in (col.SHAPE, col.MESH):
+        if scenario is not None and column in cells:
+            yield f"column {header(column)!r} is of a free body; {shaped}"
     if not contents.centre:
         yield from _contradictions_of_distances(cells, contents)
 
 
 def _contradictions_of_distances(cells: ImpactCells, contents: TableContents) -> Iterator[str]:
-    """Columns that no law predicts a distance with, in words."""
+    """Errors of a table with distances, in words: columns with which no law predicts a distance."""
     header = cells.header
     if col.SLIDE_DISTANCE in cells and contents.scenario is None:
         text = "a free body has no support on which it slides; flight_distance and fall_height say how far it flew"
@@ -210,5 +212,5 @@ def _contradictions_of_distances(cells: ImpactCells, contents: TableContents) ->
     if col.FLIGHT_DISTANCE in cells and col.FALL_HEIGHT not in cells:
         yield f"column {header(col.FLIGHT_DISTANCE)!r} without {col.FALL_HEIGHT.header!r}: how far the centre fell"
     if contents.turning:
-        first = next(header(one) for one in col.DISTANCES if one in cells)
+        first = next(header(column) for column in col.DISTANCES if column in cells)
         yield f"column {first!r} stands in place of velocities after; leave out {', '.join(col.W_AFTER.names)}"

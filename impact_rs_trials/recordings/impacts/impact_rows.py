@@ -17,7 +17,7 @@ from impact_rs_trials.recordings.checks.joint_jumps import JointJump
 from impact_rs_trials.recordings.impacts import impact_columns as col
 from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup, arm_label
 
-TABLE_DIGITS = 9  # significant ones
+TABLE_DIGITS = 9  # significant digits
 BY_SLIDING_DISTANCE = "sliding distance"  # law after the impact: the velocity follows from the displacement to rest
 
 
@@ -27,6 +27,7 @@ class NoRow:
 
     Attributes:
         name: Name of the impact or run.
+        reason: Reason, in words.
     """
 
     name: str
@@ -38,13 +39,13 @@ class Impact:
     """One impact, with the states before and after.
 
     Attributes:
-        run: Its run.
+        run: Name of the run.
         condition: Condition of the run; empty: unknown.
         session: Session of the run; empty: unknown. A condition that is only a session has no repeats.
         object_name: Object of the scenario; empty: a free body.
         time: Since the start of the run [s].
-        position: Of the geometric centre, ``(3,)`` [m].
-        rotation: From its axes to the axes of the world, ``(3, 3)``.
+        position: Position of the geometric centre, ``(3,)`` [m].
+        rotation: Rotation from the axes of the body to the axes of the world, ``(3, 3)``.
         before: Twist just before, ``(6,)`` [m/s, rad/s].
         after: Twist just after, ``(6,)`` [m/s, rad/s].
         noise: Standard deviation of a change of velocity [m/s] and of angular velocity [rad/s].
@@ -78,7 +79,7 @@ class Impact:
 
     @property
     def distance_noise(self) -> float:
-        """Standard deviation of a slide distance D, with v^2 = 2 mu g D and the noise of v [m]."""
+        """Standard deviation of a slide distance D [m]: sigma_D = 2 D sigma_v / v, from v^2 = 2 mu g D."""
         distance = self.outcomes[col.SLIDE_DISTANCE]
         return self.noise[0] * 2.0 * distance / max(float(np.linalg.norm(self.after[:3])), 1e-9)
 
@@ -86,19 +87,19 @@ class Impact:
 def table_text(impacts: Sequence[Impact], constants: Mapping[str, float | str]) -> str:
     """The table of impacts as CSV.
 
-    If all velocities after follow from the slide distance, that distance is the outcome and they are omitted, so
+    If all velocities after the impact follow from the slide distance, the table has that distance in place of them, so
     that the friction of the support stays a parameter.
 
     Args:
-        impacts: At least one, all of the same arms.
+        impacts: At least one impact, all with the same arms.
         constants: Further columns with one value by header, for example ``mass [kg]``.
     """
     by_distance = all(impact.model == BY_SLIDING_DISTANCE for impact in impacts)
-    left_out = {col.V_AFTER, col.V_NOISE} if by_distance else {col.DISTANCE_NOISE}
-    left_out |= set() if all(impact.turn_tracked for impact in impacts) else {col.W_AFTER, col.W_NOISE}
-    left_out |= set() if any(impact.session for impact in impacts) else {col.SESSION}
-    left_out |= set() if any(impact.condition not in ("", impact.session) for impact in impacts) else {col.CONDITION}
-    rows = [_cells(impact, left_out, constants) for impact in impacts]
+    omitted = {col.V_AFTER, col.V_NOISE} if by_distance else {col.DISTANCE_NOISE}
+    omitted |= set() if all(impact.turn_tracked for impact in impacts) else {col.W_AFTER, col.W_NOISE}
+    omitted |= set() if any(impact.session for impact in impacts) else {col.SESSION}
+    omitted |= set() if any(impact.condition not in ("", impact.session) for impact in impacts) else {col.CONDITION}
+    rows = [_cells(impact, omitted, constants) for impact in impacts]
     text = io.StringIO()
     writer = csv.DictWriter(text, list(dict.fromkeys(header for row in rows for header in row)), lineterminator="\n")
     writer.writeheader()
@@ -106,12 +107,12 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float | str]) 
     return text.getvalue()
 
 
-def _cells(impact: Impact, left_out: set[ColumnGroup], constants: Mapping[str, float | str]) -> dict[str, str]:
+def _cells(impact: Impact, omitted: set[ColumnGroup], constants: Mapping[str, float | str]) -> dict[str, str]:
     """Cells of one row by header, in the order of the table."""
     cells: dict[str, str] = {}
 
     def put(columns: ColumnGroup, *values: float | str) -> None:
-        if columns not in left_out:
+        if columns not in omitted:
             cells.update(zip(columns.headers, map(_short, values), strict=True))
 
     put(col.RUN, impact.run)
@@ -148,4 +149,5 @@ def _cells(impact: Impact, left_out: set[ColumnGroup], constants: Mapping[str, f
 
 
 def _short(value: float | str) -> str:
+    """A cell: text as it is, a number with ``TABLE_DIGITS`` digits."""
     return value if isinstance(value, str) else f"{value:.{TABLE_DIGITS}g}"

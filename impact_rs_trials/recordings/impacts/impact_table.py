@@ -51,25 +51,25 @@ from impact_rs_trials.recordings.readers.text_file import suffix_of
 from impact_rs_trials.since import measured_since
 
 SUFFIXES = (".csv", ".parquet")
-ASSUMED_FRICTION = 0.3  # of a free body on a plane, where a table says nothing; dry solids lie around it
-MAX_LENGTH_ERROR = 1e-3  # of a unit quaternion or normal; what remains is rounding
-MAX_MOMENT_EXCESS_SHARE = 1e-3  # of a moment of inertia over the sum of the others; rounding
+ASSUMED_FRICTION = 0.3  # of a free body on a plane, if a table has no column; typical of dry solids
+MAX_LENGTH_ERROR = 1e-3  # of a unit quaternion or normal, from rounding
+MAX_MOMENT_EXCESS_SHARE = 1e-3  # of a moment of inertia over the sum of the others, from rounding
 UNIT_QUATERNION = "expected a unit quaternion: length 1"
 UP = np.array([0.0, 0.0, 1.0])
-MAX_TOLERANCE_FACTOR = 4.0  # points between a quarter of a tolerance and so many may touch or not
+MAX_TOLERANCE_FACTOR = 4.0  # points between 1 / 4 and 4 tolerances may touch or not
 OF_BODY = (col.MASS, col.MOMENTS, col.SIZE, col.RADIUS)  # columns that may be unsure
-BODY_UNITS = {name: one.unit for one in OF_BODY for name in one.names}
-# Noise columns by axis that may stand in the place of one.
+BODY_UNITS = {name: column.unit for column in OF_BODY for name in column.names}
+# Noise columns by axis that may replace a single column.
 OF_AXES = {col.V_NOISE: col.V_NOISE_AXES, col.W_NOISE: col.W_NOISE_AXES}
 ALONE = "; without these columns the other signals are compared alone"
-UNSEEN_GEOMETRY = {  # what else may be unsure, 0 in a table: its unit
+UNSEEN_GEOMETRY = {  # units of other uncertain quantities, which are 0 in a table
     "offset_x": "m",  # of the tracked point from the centre, along the body's own axes
     "offset_y": "m",
     "offset_z": "m",
     "tilt_x": "rad",  # of the plane's normal about x and y of A
     "tilt_y": "rad",
 }
-SWEPT_SHARES = (0.25, 0.5, 1.0)  # of the way from the assumed value to either end of a range
+SWEPT_SHARES = (0.25, 0.5, 1.0)  # of the difference between either end of a range and the assumed value
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,9 @@ class ImpactRow:
         physics: Nominal physics; rows with the same nominal physics share one.
         impact: State just before, and contact points.
         after: Measured u^+, v of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
-        wider: The impact with the contact points within ``MAX_TOLERANCE_FACTOR`` tolerances; None: they are the same.
+        wider: The impact with the contact points within ``MAX_TOLERANCE_FACTOR`` tolerances; None: equal points.
         narrower: The impact with the contact points within a tolerance over ``MAX_TOLERANCE_FACTOR`` (no pose is known
-            better than ``GAP_TOLERANCE``); None: they are the same.
+            better than ``GAP_TOLERANCE``); None: equal points.
         time: Time of the measurement, seconds since 1970 or since any other moment [s]; None: unknown.
         circumstances: Its covariates by name, numbers or names of levels.
         distance: Distance that the object travelled afterwards, if measured instead of its velocity.
@@ -129,9 +129,9 @@ class ImpactTable:
     """A table of impacts.
 
     Attributes:
-        path: Its file.
-        digest: Of its bytes.
-        rows: Its impacts.
+        path: The file.
+        digest: Digest of its bytes and of its meshes.
+        rows: The impacts.
         arms: Names of the arms; empty: free bodies.
         joints: Whether joint velocities after the impact were measured.
         centre: Whether velocities of the centre after the impact were measured; if not, distances were.
@@ -166,19 +166,19 @@ class ImpactTable:
             when: A row, ``row 7``, or a time in column ``time`` (:func:`impact_rs_trials.since.measured_since`).
 
         Raises:
-            InputError: There is no such moment.
+            InputError: No row was measured at that moment.
         """
         stamps = {name_of_row(row.number): row.number if row.time is None else row.time for row in self.rows}
-        found = measured_since(when, stamps, all(row.time is not None for row in self.rows))
-        part = self.part([place for place, row in enumerate(self.rows) if name_of_row(row.number) in found])
-        digest = hashlib.sha256(f"{self.digest} {sorted(found)}".encode()).hexdigest()[: len(self.digest)]
+        chosen = measured_since(when, stamps, all(row.time is not None for row in self.rows))
+        part = self.part([index for index, row in enumerate(self.rows) if name_of_row(row.number) in chosen])
+        digest = hashlib.sha256(f"{self.digest} {sorted(chosen)}".encode()).hexdigest()[: len(self.digest)]
         return replace(part, digest=digest)
 
-    def part(self, places: Sequence[int]) -> ImpactTable:
+    def part(self, indices: Sequence[int]) -> ImpactTable:
         """Some rows, by position."""
-        noise = None if self.noise is None else self.noise[list(places)]
-        variants = tuple(replace(one, table=one.table.part(places)) for one in self.variants)
-        return replace(self, rows=tuple(self.rows[place] for place in places), noise=noise, variants=variants)
+        noise = None if self.noise is None else self.noise[list(indices)]
+        variants = tuple(replace(variant, table=variant.table.part(indices)) for variant in self.variants)
+        return replace(self, rows=tuple(self.rows[index] for index in indices), noise=noise, variants=variants)
 
 
 def read_impact_table(
@@ -209,7 +209,7 @@ def read_impact_table(
     cells, contents, declared = read_with_contents(path, scenario, questions, covariates)
     digest = _with_meshes(digest, cells)
     reader = _Reader(cells, contents, tolerance, declared)
-    table, found = reader.table(digest), []
+    table, variants = reader.table(digest), []
     for name, (low, high) in unsure.items():
         assumed, unit = reader.assumed_geometry(name)
         values = {
@@ -220,13 +220,13 @@ def read_impact_table(
         }
         for value in sorted(values):
             try:
-                other = reader.with_geometry(name, value, assumed).table(digest)
+                variant_table = reader.with_geometry(name, value, assumed).table(digest)
             except InputError as error:
                 raise InputError(
                     f"with {name} = {value:.4g} {unit}: {error.message}", file=path, key=error.key
                 ) from None
-            found.append(Variant(name, value, unit, other))
-    return replace(table, variants=tuple(found))
+            variants.append(Variant(name, value, unit, variant_table))
+    return replace(table, variants=tuple(variants))
 
 
 def _digest(path: Path) -> str:
@@ -246,8 +246,8 @@ def _with_meshes(digest: str, cells: ImpactCells) -> str:
     """Digest of a table and of the files of its meshes."""
     names = {cells.text(row, col.MESH.first) for row in range(len(cells))}
     files = [cells.path.parent / name for name in sorted(names) if name]
-    whole = "".join(hashlib.sha256(one.read_bytes()).hexdigest() for one in files if is_file(one))
-    return hashlib.sha256(f"{digest}{whole}".encode()).hexdigest() if whole else digest
+    mesh_digests = "".join(hashlib.sha256(file.read_bytes()).hexdigest() for file in files if is_file(file))
+    return hashlib.sha256(f"{digest}{mesh_digests}".encode()).hexdigest() if mesh_digests else digest
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,10 @@ class _Reader:
         """All rows, checked."""
         cells, contents = self.cells, self.contents
         circumstances = cells.circumstances(self.covariates)
-        rows = tuple(replace(self._impact(row), circumstances=own) for row, own in enumerate(circumstances))
+        rows = tuple(
+            replace(self._impact(row), circumstances=covariates_of_row)
+            for row, covariates_of_row in enumerate(circumstances)
+        )
         return ImpactTable(
             path=cells.path,
             digest=digest,
@@ -294,26 +297,26 @@ class _Reader:
         """Value that a table assumes for an uncertain quantity, and its SI unit.
 
         Raises:
-            InputError: There is nothing of that name here.
+            InputError: The table has no uncertain quantity of that name.
         """
-        known = [column for column in BODY_UNITS if column in self.cells]
-        known += [own for own in UNSEEN_GEOMETRY if not (self.contents.arms and own.startswith("tilt"))]
+        names = [column for column in BODY_UNITS if column in self.cells]
+        names += [quantity for quantity in UNSEEN_GEOMETRY if not (self.contents.arms and quantity.startswith("tilt"))]
         if not self.contents.turning:
-            known = [own for own in known if not own.startswith("offset")]
-        known += [col.SUPPORT_FRICTION.first] if self._scales(col.SUPPORT_FRICTION.first) else []
+            names = [quantity for quantity in names if not quantity.startswith("offset")]
+        names += [col.SUPPORT_FRICTION.first] if self._is_scaled_column(col.SUPPORT_FRICTION.first) else []
         scenario = self.contents.scenario
-        of_scene = {} if scenario is None else nominal_values(scenario)
-        known += [own for own in of_scene if own not in known]
-        if name not in known:
+        scenario_values = {} if scenario is None else nominal_values(scenario)
+        names += [quantity for quantity in scenario_values if quantity not in names]
+        if name not in names:
             raise InputError(
-                f"nothing called {name!r} can be unsure here{did_you_mean(name, known)}; known: {', '.join(known)}",
+                f"nothing called {name!r} can be unsure here{did_you_mean(name, names)}; known: {', '.join(names)}",
                 file=self.cells.path,
                 key="--unsure",
             )
         if name in UNSEEN_GEOMETRY:
             return 0.0, UNSEEN_GEOMETRY[name]
-        if not self._scales(name):
-            return of_scene[name]
+        if not self._is_scaled_column(name):
+            return scenario_values[name]
         values = [self.cells.value(row, name) for row in range(len(self.cells)) if self.cells.text(row, name)]
         if len(values) < len(self.cells):
             raise InputError(
@@ -324,7 +327,7 @@ class _Reader:
             )
         return float(np.mean(values)), BODY_UNITS.get(name, col.SUPPORT_FRICTION.unit)
 
-    def _scales(self, name: str) -> bool:
+    def _is_scaled_column(self, name: str) -> bool:
         """Whether an uncertain quantity is a column, whose rows keep their ratios."""
         of_support = name == col.SUPPORT_FRICTION.first and not self.contents.centre
         filled = name in self.cells and any(self.cells.text(row, name) for row in range(len(self.cells)))
@@ -338,8 +341,8 @@ class _Reader:
             value: Its value, in SI units.
             assumed: Its value by :meth:`assumed_geometry`.
         """
-        if self._scales(name):
-            scale = dict.fromkeys(self._growing_with(name), value / assumed)
+        if self._is_scaled_column(name):
+            scale = dict.fromkeys(self._columns_scaled_with(name), value / assumed)
             return replace(self, cells=replace(self.cells, scale=scale), physics={})
         if name in UNSEEN_GEOMETRY:
             return replace(self, geometry={name: value}, physics={})
@@ -347,8 +350,8 @@ class _Reader:
         scenario = with_value(self.contents.scenario, name, value)
         return replace(self, contents=replace(self.contents, scenario=scenario), physics={})
 
-    def _growing_with(self, name: str) -> set[str]:
-        """Columns that have one scale with an uncertain one: equal extents of the round bodies of the table."""
+    def _columns_scaled_with(self, name: str) -> set[str]:
+        """The column and those that change in proportion: equal extents of round bodies, such as a sphere."""
         kinds = {self.cells.text(row, col.SHAPE.first) for row in range(len(self.cells))}
         equal = [{f"size_{axis}" for axis in ROUND_AXES.get(kind, "")} for kind in kinds]
         return {name}.union(*(extents for extents in equal if name in extents))
@@ -357,10 +360,10 @@ class _Reader:
         """Largest extra distance of a touching point of a row beyond the nearest one [m]."""
         return self.cells.value_or(row, col.TOLERANCE, self.tolerance)
 
-    def _after(self, row: int, names: Sequence[str], measured: bool) -> Array:
-        """Velocities after the impact; nan if not measured, or to be predicted."""
-        known = measured and not self.contents.questions
-        return self.cells.values(row, names) if known else np.full(len(names), np.nan)
+    def _velocity_after(self, row: int, names: Sequence[str], measured: bool) -> Array:
+        """Velocities after the impact; nan if not measured or to be predicted."""
+        available = measured and not self.contents.questions
+        return self.cells.values(row, names) if available else np.full(len(names), np.nan)
 
     def _impact(self, row: int) -> ImpactRow:
         """One impact without its circumstances."""
@@ -370,16 +373,16 @@ class _Reader:
             rotation=self._rotation(row) if col.ORIENTATION in cells else np.eye(3),
             twist=cells.values(row, [*col.V_BEFORE.names, *col.W_BEFORE.names]),
         )
-        moving = self._after(row, col.V_AFTER.names, contents.centre)
-        turning = self._after(row, col.W_AFTER.names, contents.turning)
-        if any(lever := [self.geometry.get(f"offset_{axis}", 0.0) for axis in AXES]):
+        v_after = self._velocity_after(row, col.V_AFTER.names, contents.centre)
+        w_after = self._velocity_after(row, col.W_AFTER.names, contents.turning)
+        if any(offset := [self.geometry.get(f"offset_{axis}", 0.0) for axis in AXES]):
             # v of the centre = v of the tracked point - omega x lever
-            off = body.rotation @ lever
-            moved = np.concatenate((body.twist[:3] - np.cross(body.twist[3:], off), body.twist[3:]))
-            body = BodyState(body.position - off, body.rotation, moved)
-            moving = moving - np.cross(turning, off)
+            lever = body.rotation @ offset
+            twist = np.concatenate((body.twist[:3] - np.cross(body.twist[3:], lever), body.twist[3:]))
+            body = BodyState(body.position - lever, body.rotation, twist)
+            v_after = v_after - np.cross(w_after, lever)
         arms = {arm: self._arm(row, arm) for arm in contents.arms}
-        of_joints = [self._after(row, contents.names(col.DQ_AFTER, arm), contents.joints) for arm in arms]
+        dq_after = [self._velocity_after(row, contents.names(col.DQ_AFTER, arm), contents.joints) for arm in arms]
         object_name = self._object(row)
         physics, models = self._assumption(row, object_name)
         impact, narrower, wider = self._contacts(row, arms, body, physics, models)
@@ -395,7 +398,7 @@ class _Reader:
             object_name=object_name,
             physics=physics,
             impact=impact,
-            after=np.concatenate((*of_joints, moving, turning)),
+            after=np.concatenate((*dq_after, v_after, w_after)),
             wider=None if len(wider.points) == len(impact.points) else wider,
             narrower=None if len(narrower.points) == len(impact.points) else narrower,
             time=cells.value_or(row, col.TIME, None),
@@ -405,7 +408,9 @@ class _Reader:
 
     def _arm(self, row: int, arm: str) -> ArmState:
         """State of an arm before the impact."""
-        position, velocity = (self.cells.values(row, self.contents.names(one, arm)) for one in (col.Q, col.DQ_BEFORE))
+        position, velocity = (
+            self.cells.values(row, self.contents.names(columns, arm)) for columns in (col.Q, col.DQ_BEFORE)
+        )
         assert self.contents.scenario is not None
         if self.contents.scenario.robots[arm].robot_facts.floating_base is not None:
             orientation = col.BASE_ORIENTATION.of_arm(arm_label(arm, self.contents.arms))
@@ -416,19 +421,19 @@ class _Reader:
         self, row: int, arms: dict[str, ArmState], body: BodyState, physics: Physics, models: dict[str, RobotModel]
     ) -> tuple[MeasuredImpact, MeasuredImpact, MeasuredImpact]:
         """An impact with its contact points by the tolerance, by a smaller one, and by a larger one."""
-        normal, given = self._tilted(self._normal(row)), self._given_points(row)
-        on_pad = {next(iter(arms)): (given, normal)} if given and len(physics.pads) == 1 else None
+        normal, measured_points = self._tilted(self._normal(row)), self._measured_points(row)
+        on_pad = {next(iter(arms)): (measured_points, normal)} if measured_points and len(physics.pads) == 1 else None
         upwards = UP if normal is None else normal
 
         def with_points(tolerance: float) -> MeasuredImpact:
             if arms:
                 points = points_of_scene(physics, arms, body, models, on_pad, tolerance)
-            elif given:
-                points = points_on_plane(given, upwards)
+            elif measured_points:
+                points = points_on_plane(measured_points, upwards)
             else:
                 item = physics.object
                 points = points_that_touch(body, item.size, upwards, tolerance, item.shape)
-            return MeasuredImpact(arms, body, points, bool(given))
+            return MeasuredImpact(arms, body, points, bool(measured_points))
 
         tolerance = self._tolerance(row)
         smaller = max(tolerance / MAX_TOLERANCE_FACTOR, min(tolerance, GAP_TOLERANCE))
@@ -442,11 +447,11 @@ class _Reader:
         cells = self.cells
         if self.contents.centre or self.contents.questions:
             return None
-        given = [one for one in col.DISTANCES if cells.text(row, one.first)]
-        if len(given) != 1:
-            names = " and ".join(repr(cells.header(one)) for one in col.DISTANCES if one in cells)
+        filled = [column for column in col.DISTANCES if cells.text(row, column.first)]
+        if len(filled) != 1:
+            names = " and ".join(repr(cells.header(column)) for column in col.DISTANCES if column in cells)
             raise cells.error(row, f"column {names}", None, "expected one distance in every row [m]")
-        (column,), friction, fall = given, None, None
+        (column,), friction, fall = filled, None, None
         noise = cells.value_or(row, col.DISTANCE_NOISE, None)
         if column == col.FLIGHT_DISTANCE:
             fall = cells.value(row, col.FALL_HEIGHT.first)
@@ -459,7 +464,7 @@ class _Reader:
 
     def _contact_noise(self, row: int) -> tuple[float, float]:
         """Standard deviations of position [m] and normal [rad] of the contact points of a row; 0: unknown."""
-        position, normal = (self.cells.value_or(row, one, 0.0) for one in col.CONTACT_NOISE)
+        position, normal = (self.cells.value_or(row, column, 0.0) for column in col.CONTACT_NOISE)
         return position, normal
 
     def _rotation(self, row: int) -> Array:
@@ -487,39 +492,39 @@ class _Reader:
             return normal
         return np.asarray(pin.rpy.rpyToMatrix(*tilt, 0.0) @ (UP if normal is None else normal))
 
-    def _given_points(self, row: int) -> list[Array]:
+    def _measured_points(self, row: int) -> list[Array]:
         """Measured contact points."""
         cells = self.cells
-        found = [
+        points = [
             cells.values(row, point.names)
             for point in col.POINTS
             if point in cells and any(cells.text(row, name) for name in point.names)
         ]
-        if not found and self.contents.scenario is None and not self.contents.shaped:
+        if not points and self.contents.scenario is None and not self.contents.shaped:
             text = f"no contact point; expected at least one [m], or columns {col.SIZE.header!r} ... for the geometry"
             raise cells.error(row, f"columns {', '.join(map(repr, col.POINTS[0].names))}", None, text)
-        return found
+        return points
 
     def _object(self, row: int) -> str:
         """Name of the scenario's object in a row; empty: a free body."""
         scenario = self.contents.scenario
         if scenario is None:
             return ""
-        known = scenario.objects
+        objects = scenario.objects
         name = self.cells.text(row, col.OBJECT.first)
-        if not name and len(known) == 1:
-            return next(iter(known))
-        if name not in known:
-            text = f"expected an object of scenario {scenario.name!r}{did_you_mean(name, known)}"
-            raise self.cells.error(row, f"column {col.OBJECT.first!r}", name, f"{text}; known: {', '.join(known)}")
+        if not name and len(objects) == 1:
+            return next(iter(objects))
+        if name not in objects:
+            text = f"expected an object of scenario {scenario.name!r}{did_you_mean(name, objects)}"
+            raise self.cells.error(row, f"column {col.OBJECT.first!r}", name, f"{text}; known: {', '.join(objects)}")
         return name
 
     def _assumption(self, row: int, object_name: str) -> tuple[Physics, dict[str, RobotModel]]:
         """Physics of a row before any effect, shared between rows with equal assumptions."""
         cells, contents = self.cells, self.contents
         assumed = (*OF_BODY, col.SHELL, col.FRICTION, col.RESTITUTION)
-        own = {name: cells.value(row, name) for one in assumed if one in cells for name in one.names}
-        moments = [own[name] for name in col.MOMENTS.names if name in own]
+        values = {name: cells.value(row, name) for column in assumed if column in cells for name in column.names}
+        moments = [values[name] for name in col.MOMENTS.names if name in values]
         if moments and max(moments) > (1.0 + MAX_MOMENT_EXCESS_SHARE) * (sum(moments) - max(moments)):
             raise cells.error(
                 row, f"columns {', '.join(map(repr, col.MOMENTS.names))}", moments,
@@ -531,33 +536,35 @@ class _Reader:
             if (names := contents.names(col.MOTOR_INERTIA, arm)) and names[0] in cells
         }
         kind, mesh = cells.text(row, col.SHAPE.first), cells.text(row, col.MESH.first)
-        key = (object_name, kind, mesh, *own.items(), *motors.items())
+        key = (object_name, kind, mesh, *values.items(), *motors.items())
         if key not in self.physics:
             free = contents.scenario is None
-            physics = self._free(row, own) if free else self._of_scene(object_name, own, motors)
+            physics = self._free(row, values) if free else self._of_scene(object_name, values, motors)
             self.physics[key] = physics, physics.robot_models()
         return self.physics[key]
 
-    def _free(self, row: int, own: Mapping[str, float]) -> Physics:
+    def _free(self, row: int, values: Mapping[str, float]) -> Physics:
         """A free body: an object without arms, on a support without an edge."""
-        body = self._free_body(row, own)
+        body = self._free_body(row, values)
         return Physics(
             arms={},
-            object=replace(body, inertia=_moments(own, body.inertia)),
+            object=replace(body, inertia=_moments(values, body.inertia)),
             support_height=None,
             support_size=(np.inf, np.inf),
-            support_friction=own.get(col.FRICTION.first, ASSUMED_FRICTION),
+            support_friction=values.get(col.FRICTION.first, ASSUMED_FRICTION),
             pad_friction=0.0,
-            restitution=own.get(col.RESTITUTION.first, 0.0),
+            restitution=values.get(col.RESTITUTION.first, 0.0),
         )
 
-    def _free_body(self, row: int, own: Mapping[str, float]) -> ObjectPhysics:
-        """A free body of an even density by shape, mesh or radius; without any of these one known by its moments."""
-        cells, mass = self.cells, own[col.MASS.first]
-        size = [own[name] for name in col.SIZE.names] if col.SIZE.first in own else None
+    def _free_body(self, row: int, values: Mapping[str, float]) -> ObjectPhysics:
+        """A free body of homogeneous density by shape, mesh or radius; without these, a body known by its moments."""
+        cells, mass = self.cells, values[col.MASS.first]
+        size = [values[name] for name in col.SIZE.names] if col.SIZE.first in values else None
         kind, mesh = cells.text(row, col.SHAPE.first), cells.text(row, col.MESH.first)
-        if col.RADIUS.first in own:
-            return body_of_shape("sphere", mass, [2.0 * own[col.RADIUS.first]] * 3, bool(own.get(col.SHELL.first)))
+        if col.RADIUS.first in values:
+            return body_of_shape(
+                "sphere", mass, [2.0 * values[col.RADIUS.first]] * 3, bool(values.get(col.SHELL.first))
+            )
         if kind and mesh:
             raise cells.column_error(
                 row, col.SHAPE.first, kind, f"and {col.MESH.first} = {mesh!r}: expected one of them"
@@ -576,18 +583,20 @@ class _Reader:
         except ValueError as error:
             raise cells.column_error(row, col.SHAPE.first, kind, str(error)) from None
 
-    def _of_scene(self, object_name: str, own: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]) -> Physics:
+    def _of_scene(
+        self, object_name: str, values: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]
+    ) -> Physics:
         """A scenario with the values of the table."""
         assert self.contents.scenario is not None
         physics = Physics.nominal(self.contents.scenario, object_name)
         body = physics.object
         body.check_free("a table of impacts")
-        if body.fixed and own.keys() & {*col.MASS.names, *col.MOMENTS.names}:
+        if body.fixed and values.keys() & {*col.MASS.names, *col.MOMENTS.names}:
             raise InputError(f"object {object_name!r} is fixed and has neither mass nor moments: leave these out")
-        mass = own.get(col.MASS.first, body.mass)
-        size = np.array([own.get(name, value) for name, value in zip(col.SIZE.names, body.size, strict=True)])
+        mass = values.get(col.MASS.first, body.mass)
+        size = np.array([values.get(name, value) for name, value in zip(col.SIZE.names, body.size, strict=True)])
         inertia = body.inertia if body.fixed else body.inertia * mass / body.mass
-        if col.SIZE.first in own:
+        if col.SIZE.first in values:
             inertia = self._moments_of_size(object_name, body, mass, size)
         arms = {
             name: replace(arm, motor_inertia_reduced=np.array(motors[name])) if name in motors else arm
@@ -596,14 +605,14 @@ class _Reader:
         return replace(
             physics,
             arms=arms,
-            object=replace(body, mass=mass, size=size, inertia=_moments(own, inertia)),
-            pad_friction=own.get(col.FRICTION.first, physics.pad_friction),
-            restitution=own.get(col.RESTITUTION.first, physics.restitution),
+            object=replace(body, mass=mass, size=size, inertia=_moments(values, inertia)),
+            pad_friction=values.get(col.FRICTION.first, physics.pad_friction),
+            restitution=values.get(col.RESTITUTION.first, physics.restitution),
         )
 
     @staticmethod
     def _moments_of_size(object_name: str, body: ObjectPhysics, mass: float, size: Array) -> Array:
-        """Principal moments of an object of even density with the size of the table, ``(3,)`` [kg m^2]."""
+        """Principal moments of a homogeneous object with the size of the table, ``(3,)`` [kg m^2]."""
         if body.shape.kind == "hull":
             raise InputError(f"object {object_name!r} is the hull of a mesh, which has its size: leave size_x ... out")
         try:
@@ -614,36 +623,36 @@ class _Reader:
 
     @property
     def _noise_columns(self) -> dict[ColumnGroup, str]:
-        """Noise columns of the signals measured after the impact, with the names of these."""
+        """Noise columns of the signals measured after the impact, with the names of the signals."""
         contents = self.contents
-        wanted = {col.V_NOISE: "v*_after"} if contents.centre else {col.DISTANCE_NOISE: "distances"}
-        wanted |= {col.W_NOISE: "w*_after"} if contents.turning else {}
-        return wanted | ({col.DQ_NOISE: "dq*_after"} if contents.joints else {})
+        columns = {col.V_NOISE: "v*_after"} if contents.centre else {col.DISTANCE_NOISE: "distances"}
+        columns |= {col.W_NOISE: "w*_after"} if contents.turning else {}
+        return columns | ({col.DQ_NOISE: "dq*_after"} if contents.joints else {})
 
     def _states_noise(self, *columns: ColumnGroup) -> bool:
-        """Whether a table has one of some noise columns, or its columns by axis."""
-        return any(one in self.cells or OF_AXES.get(one, one) in self.cells for one in columns)
+        """Whether the table has at least one of these noise columns, or its columns by axis."""
+        return any(column in self.cells or OF_AXES.get(column, column) in self.cells for column in columns)
 
     def _noise(self, rows: Sequence[ImpactRow]) -> Array | None:
         """Standard deviations in the order of ``after``, ``(rows, nv)``; None if the table has no noise column.
 
         Signals without a noise column in a table with others have 0: unknown.
         """
-        wanted = self._noise_columns
-        if not self._states_noise(*wanted, *col.CONTACT_NOISE) or self.contents.questions:
+        columns = self._noise_columns
+        if not self._states_noise(*columns, *col.CONTACT_NOISE) or self.contents.questions:
             return None
-        found = []
+        noise = []
         for row, impact in enumerate(rows):
             signals = ((col.DQ_NOISE, impact.after.size - 6), (col.V_NOISE, 3), (col.W_NOISE, 3))
             parts = [
-                self._noise_of(row, column, count) if column in wanted else np.full(count, np.nan)
+                self._noise_of(row, column, count) if column in columns else np.full(count, np.nan)
                 for column, count in signals
             ]
-            found.append(np.concatenate(parts))
-        return np.array(found)
+            noise.append(np.concatenate(parts))
+        return np.array(noise)
 
     def _noise_of(self, row: int, column: ColumnGroup, count: int) -> Array:
-        """Standard deviations of some signals of a row by axis, by one column for all, or 0 without any."""
+        """Standard deviations of some signals of a row: by axis, else of one column, else 0 (unknown)."""
         axes = OF_AXES.get(column, column)
         if axes in self.cells and axes != column:
             return self.cells.values(row, axes.names)
@@ -652,23 +661,23 @@ class _Reader:
     def _assumed(self) -> tuple[str, ...]:
         """Assumptions for missing columns, as text."""
         wanted = self._noise_columns
-        some = self._states_noise(*wanted, *col.CONTACT_NOISE)
-        unknown = self.cells.assumed + tuple(
+        stated = self._states_noise(*wanted, *col.CONTACT_NOISE)
+        remarks = self.cells.assumed + tuple(
             f"no column '{column.first}', though other noise is stated: how much of the residual of {signals} is noise "
             f"is not known{'' if column == col.DISTANCE_NOISE else ALONE}"
             for column, signals in wanted.items()
-            if some and not self._states_noise(column)
+            if stated and not self._states_noise(column)
         )
         if self.contents.scenario is not None:
-            return unknown
-        taken = {col.FRICTION: ASSUMED_FRICTION, col.RESTITUTION: 0.0}
-        return unknown + tuple(
+            return remarks
+        defaults = {col.FRICTION: ASSUMED_FRICTION, col.RESTITUTION: 0.0}
+        return remarks + tuple(
             f"no column {column.header!r}: {value:g} is assumed, and estimates are relative to that"
-            for column, value in taken.items()
+            for column, value in defaults.items()
             if column not in self.cells
         )
 
 
-def _moments(own: Mapping[str, float], shape: Array) -> Array:
-    """Principal moments of a row, or of its shape, ``(3,)`` [kg m^2]."""
-    return np.array([own[name] for name in col.MOMENTS.names]) if col.MOMENTS.first in own else shape
+def _moments(values: Mapping[str, float], default: Array) -> Array:
+    """Principal moments in the columns of a row, or a default without these columns, ``(3,)`` [kg m^2]."""
+    return np.array([values[name] for name in col.MOMENTS.names]) if col.MOMENTS.first in values else default

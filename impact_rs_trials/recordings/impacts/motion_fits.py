@@ -34,7 +34,7 @@ class FittedMotion:
         velocity: v, ``(3,)`` [m/s].
         acceleration: g, or the deceleration of sliding, ``(3,)`` [m/s^2].
         rotation: R_0, ``(3, 3)``.
-        turning: w in axes of the world, ``(3,)`` [rad/s].
+        angular_velocity: w in axes of the world, ``(3,)`` [rad/s].
         moments: Principal moments, ``(3,)``; equal if a steady rotation is assumed.
         scatter: Root mean square residual of positions [m] and angles [rad].
         noise: Standard deviation of a component of the velocity [m/s] and of the angular velocity [rad/s], at the end
@@ -46,7 +46,7 @@ class FittedMotion:
     velocity: Array
     acceleration: Array
     rotation: Array
-    turning: Array
+    angular_velocity: Array
     moments: Array
     scatter: tuple[float, float]
     noise: tuple[float, float]
@@ -55,28 +55,28 @@ class FittedMotion:
         """Position ``(3,)`` [m], rotation ``(3, 3)`` and twist ``(6,)`` [m/s, rad/s] at a time [s]."""
         t = time - self.reference
         position = self.position + self.velocity * t + 0.5 * self.acceleration * t**2
-        rotation, turning = turned(self.rotation, self.turning, self.moments, t)
-        return position, rotation, np.concatenate((self.velocity + self.acceleration * t, turning))
+        rotation, angular_velocity = free_rotation(self.rotation, self.angular_velocity, self.moments, t)
+        return position, rotation, np.concatenate((self.velocity + self.acceleration * t, angular_velocity))
 
 
-def turned(rotation: Array, turning: Array, moments: Array, duration: float) -> tuple[Array, Array]:
-    """Rotation ``(3, 3)`` and angular velocity ``(3,)`` [rad/s] of a free body after a time, which may be negative.
+def free_rotation(rotation: Array, angular_velocity: Array, moments: Array, duration: float) -> tuple[Array, Array]:
+    """Rotation ``(3, 3)`` and angular velocity ``(3,)`` [rad/s] of a free body after some time (Euler's equations).
 
     Args:
-        rotation: From its principal axes to the world, ``(3, 3)``.
-        turning: In axes of the world, ``(3,)`` [rad/s].
+        rotation: Rotation from the principal axes to the world, ``(3, 3)``.
+        angular_velocity: Angular velocity in axes of the world, ``(3,)`` [rad/s].
         moments: Principal moments, ``(3,)``.
-        duration: The time [s].
+        duration: Time, may be negative [s].
     """
     if np.ptp(moments) <= EQUAL_MOMENTS * float(np.max(moments)):
-        return np.asarray(pin.exp3(turning * duration) @ rotation), turning
-    own, steps = rotation.T @ turning, max(1, int(np.ceil(abs(duration) / EULER_STEP_S)))
+        return np.asarray(pin.exp3(angular_velocity * duration) @ rotation), angular_velocity
+    body_velocity, steps = rotation.T @ angular_velocity, max(1, int(np.ceil(abs(duration) / EULER_STEP_S)))
     h = duration / steps
     for _ in range(steps):  # midpoint rule
-        middle = own + 0.5 * h * np.cross(moments * own, own) / moments
+        middle = body_velocity + 0.5 * h * np.cross(moments * body_velocity, body_velocity) / moments
         rotation = rotation @ pin.exp3(h * middle)
-        own = own + h * np.cross(moments * middle, middle) / moments
-    return np.asarray(rotation), np.asarray(rotation @ own)
+        body_velocity = body_velocity + h * np.cross(moments * middle, middle) / moments
+    return np.asarray(rotation), np.asarray(rotation @ body_velocity)
 
 
 def fly(time: Array, positions: Array, rotations: Array, gravity: Array, moments: Array, at: float) -> FittedMotion:
@@ -84,11 +84,11 @@ def fly(time: Array, positions: Array, rotations: Array, gravity: Array, moments
 
     Args:
         time: Stamps, ``(k,)`` [s], at least three.
-        positions: Of the centre of mass, ``(k, 3)`` [m].
-        rotations: From the body's principal axes to the world, ``(k, 3, 3)``.
-        gravity: ``(3,)`` [m/s^2].
+        positions: Positions of the centre of mass, ``(k, 3)`` [m].
+        rotations: Rotations from the body's principal axes to the world, ``(k, 3, 3)``.
+        gravity: Gravity vector, ``(3,)`` [m/s^2].
         moments: Principal moments, ``(3,)`` [kg m^2].
-        at: Time of the impact, for the noise [s].
+        at: Time of the impact, at which the noise of the velocity is computed [s].
     """
     return _fit(time, positions, rotations, gravity, moments, at, curved=False)
 
@@ -100,7 +100,7 @@ def move(time: Array, positions: Array, rotations: Array, at: float) -> FittedMo
         time: Stamps, ``(k,)`` [s], at least four.
         positions: ``(k, 3)`` [m].
         rotations: ``(k, 3, 3)``.
-        at: Time of the impact, for the noise [s].
+        at: Time of the impact, at which the noise of the velocity is computed [s].
     """
     return _fit(time, positions, rotations, np.zeros(3), np.ones(3), at, curved=True)
 
@@ -113,19 +113,21 @@ def rest(positions: Array, rotations: Array, at: float) -> FittedMotion:
         rotations: ``(k, 3, 3)``.
         at: Time of the impact [s].
     """
-    place = np.mean(positions, axis=0)
+    mean_position = np.mean(positions, axis=0)
     middle = rotations[len(rotations) // 2]
-    turns = np.array([pin.log3(rotation @ middle.T) for rotation in rotations])
-    mean = np.mean(turns, axis=0)
-    scatter = (_rms(positions - place), _rms(turns - mean))
+    angles = np.array([pin.log3(rotation @ middle.T) for rotation in rotations])
+    mean_angle = np.mean(angles, axis=0)
+    scatter = (_rms(positions - mean_position), _rms(angles - mean_angle))
     zero = np.zeros(3)
-    return FittedMotion(at, place, zero, zero, pin.exp3(mean) @ middle, zero, np.ones(3), scatter, (0.0, 0.0))
+    return FittedMotion(
+        at, mean_position, zero, zero, pin.exp3(mean_angle) @ middle, zero, np.ones(3), scatter, (0.0, 0.0)
+    )
 
 
 def contact_noise(motion: FittedMotion, samples: int, extent: float, turns: bool) -> tuple[float, float]:
     """Standard deviations of the position [m] and of the normal [rad] of a contact at the end of a motion.
 
-    A straight line through k samples is known at its end to 2 / sqrt(k) of their scatter.
+    A straight line fitted to k samples has the standard deviation 2 / sqrt(k) of their scatter at its end.
 
     Args:
         motion: Before the impact.
@@ -133,42 +135,55 @@ def contact_noise(motion: FittedMotion, samples: int, extent: float, turns: bool
         extent: Extent of the body with the contact on its faces [m].
         turns: Whether the normal belongs to a face of the body.
     """
-    place, turn = (2.0 * scatter / float(np.sqrt(samples)) for scatter in motion.scatter)
-    return float(np.hypot(place, 0.5 * extent * turn)), turn if turns else 0.0
+    position_noise, angle_noise = (2.0 * scatter / float(np.sqrt(samples)) for scatter in motion.scatter)
+    return float(np.hypot(position_noise, 0.5 * extent * angle_noise)), angle_noise if turns else 0.0
 
 
 def _fit(
     time: Array, positions: Array, rotations: Array, gravity: Array, moments: Array, at: float, curved: bool
 ) -> FittedMotion:
+    """Least squares fit of positions, with an acceleration if ``curved``, and Gauss-Newton fit of rotations."""
     middle = len(time) // 2
     t = time - time[middle]
     basis = np.column_stack((np.ones_like(t), t, 0.5 * t**2) if curved else (np.ones_like(t), t))
     falling = positions - 0.5 * np.outer(t**2, gravity)
-    line, place_left = _least_squares(basis, falling)
-    steady = np.column_stack((np.ones_like(t), t))
-    start, turning = rotations[middle], np.zeros(3)
+    coefficients, position_scatter = _least_squares(basis, falling)
+    line_basis = np.column_stack((np.ones_like(t), t))
+    start, angular_velocity = rotations[middle], np.zeros(3)
     for _ in range(GAUSS_NEWTON_STEPS):
-        expected = [turned(start, turning, moments, moment)[0] for moment in t]
-        off = np.array([pin.log3(seen @ one.T) for seen, one in zip(rotations, expected, strict=True)])
-        (shift, faster), turn_left = _least_squares(steady, off)
-        start, turning = pin.exp3(shift) @ start, turning + faster
+        predictions = [free_rotation(start, angular_velocity, moments, moment)[0] for moment in t]
+        angles = np.array(
+            [pin.log3(measured @ predicted.T) for measured, predicted in zip(rotations, predictions, strict=True)]
+        )
+        (shift, velocity_change), angle_scatter = _least_squares(line_basis, angles)
+        start, angular_velocity = pin.exp3(shift) @ start, angular_velocity + velocity_change
     end = at - time[middle]
     gradient = np.array([0.0, 1.0, end] if curved else [0.0, 1.0])
     noise = (
-        place_left * float(np.sqrt(gradient @ np.linalg.inv(basis.T @ basis) @ gradient)),
-        turn_left * float(np.sqrt(np.linalg.inv(steady.T @ steady)[1, 1])),
+        position_scatter * float(np.sqrt(gradient @ np.linalg.inv(basis.T @ basis) @ gradient)),
+        angle_scatter * float(np.sqrt(np.linalg.inv(line_basis.T @ line_basis)[1, 1])),
     )
-    acceleration = line[2] if curved else gravity
-    scatter = (place_left, turn_left)
-    return FittedMotion(float(time[middle]), line[0], line[1], acceleration, start, turning, moments, scatter, noise)
+    acceleration = coefficients[2] if curved else gravity
+    scatter = (position_scatter, angle_scatter)
+    return FittedMotion(
+        float(time[middle]),
+        coefficients[0],
+        coefficients[1],
+        acceleration,
+        start,
+        angular_velocity,
+        moments,
+        scatter,
+        noise,
+    )
 
 
 def _least_squares(basis: Array, values: Array) -> tuple[Array, float]:
-    """Coefficients of columns ``(k, c)``, and the scatter about them."""
+    """Coefficients of basis columns ``(k, c)``, and the residual standard deviation."""
     fit = np.asarray(np.linalg.lstsq(basis, values, rcond=None)[0], dtype=float)
-    freedom = values.shape[1] * (len(values) - basis.shape[1])
-    with np.errstate(over="ignore"):  # a number may be of any size, and the scatter is infinite then
-        return fit, float(np.sqrt(np.sum(np.square(values - basis @ fit)) / max(freedom, 1)))
+    degrees_of_freedom = values.shape[1] * (len(values) - basis.shape[1])
+    with np.errstate(over="ignore"):  # large numbers overflow to an infinite scatter
+        return fit, float(np.sqrt(np.sum(np.square(values - basis @ fit)) / max(degrees_of_freedom, 1)))
 
 
 def _rms(values: Array) -> float:

@@ -26,25 +26,25 @@ from impact_rs_sim.impact_map.measured import SUPPORT_FRICTION
 from impact_rs_sim.rotations import AXES
 from impact_rs_sim.scenarios.scenario import Robot, Scenario
 
-_OF_TOOL: dict[str, str] = {"tool_mass": "kg", "tool_length": "m", "pad_x": "m", "pad_y": "m"}
+_TOOL_UNITS: dict[str, str] = {"tool_mass": "kg", "tool_length": "m", "pad_x": "m", "pad_y": "m"}
 _OFFSET = re.compile(r"(?:joint(?P<joint>[0-9]+)|flange)_(?P<axis>[xyz])")
 
 
 def nominal_values(scenario: Scenario) -> dict[str, tuple[float, str]]:
     """Nominal values of all uncertain numbers of a scenario, with units, by name."""
-    found: dict[str, tuple[float, str]] = {SUPPORT_FRICTION: (scenario.support.friction, "-")}
+    nominal: dict[str, tuple[float, str]] = {SUPPORT_FRICTION: (scenario.support.friction, "-")}
     if len(scenario.objects) == 1:
         (body,) = scenario.objects.values()
         if body.form.is_box:
-            found |= {f"size_{axis}": (float(extent), "m") for axis, extent in zip(AXES, body.size, strict=True)}
+            nominal |= {f"size_{axis}": (float(extent), "m") for axis, extent in zip(AXES, body.size, strict=True)}
     for label, robot in _arms(scenario):
         tool = robot.end_effector
         values = {"tool_mass": tool.mass, "tool_length": tool.length, "pad_x": tool.pad.size[0]}
         values["pad_y"] = tool.pad.size[1]
-        found |= {label + name: (float(value), _OF_TOOL[name]) for name, value in values.items()}
-        places = [f"joint{number}" for number in range(1, robot.robot_facts.joint_count + 1)]
-        found |= {f"{label}{place}_{axis}": (0.0, "m") for place in (*places, "flange") for axis in AXES}
-    return found
+        nominal |= {label + name: (float(value), _TOOL_UNITS[name]) for name, value in values.items()}
+        frames = [f"joint{number}" for number in range(1, robot.robot_facts.joint_count + 1)]
+        nominal |= {f"{label}{frame}_{axis}": (0.0, "m") for frame in (*frames, "flange") for axis in AXES}
+    return nominal
 
 
 def with_value(scenario: Scenario, name: str, value: float) -> Scenario:
@@ -52,8 +52,8 @@ def with_value(scenario: Scenario, name: str, value: float) -> Scenario:
 
     Args:
         scenario: The scenario.
-        name: One of :func:`nominal_values`.
-        value: Value, in its unit.
+        name: Name of the number, a key of :func:`nominal_values`.
+        value: Value, in the unit of :func:`nominal_values`.
     """
     if name == SUPPORT_FRICTION:
         return scenario.model_copy(update={"support": scenario.support.model_copy(update={"friction": value})})
@@ -63,8 +63,8 @@ def with_value(scenario: Scenario, name: str, value: float) -> Scenario:
         return scenario.model_copy(update={"objects": {label: box.model_copy(update={"size": tuple(size)})}})
     robots = dict(scenario.robots)
     for (label, robot), arm in zip(_arms(scenario), scenario.robots, strict=True):
-        if name.startswith(label) and (own := name.removeprefix(label)) and "." not in own:
-            robots[arm] = _moved(robot, own, value)
+        if name.startswith(label) and (quantity := name.removeprefix(label)) and "." not in quantity:
+            robots[arm] = _robot_with_value(robot, quantity, value)
     return scenario.model_copy(update={"robots": robots})
 
 
@@ -74,7 +74,7 @@ def _arms(scenario: Scenario) -> Iterator[tuple[str, Robot]]:
         yield (f"{arm}." if len(scenario.robots) > 1 else ""), robot
 
 
-def _moved(robot: Robot, name: str, value: float) -> Robot:
+def _robot_with_value(robot: Robot, name: str, value: float) -> Robot:
     offset = _OFFSET.fullmatch(name)
     if offset is None:
         tool = robot.end_effector
@@ -87,9 +87,9 @@ def _moved(robot: Robot, name: str, value: float) -> Robot:
         return robot.model_copy(update={"end_effector": tool.model_copy(update=changes[name]())})
     facts, axis = robot.robot_facts, AXES.index(offset["axis"])
 
-    def shifted(place: Any) -> Any:
-        xyz = [length + (value if number == axis else 0.0) for number, length in enumerate(place.xyz)]
-        return place.model_copy(update={"xyz": tuple(xyz)})
+    def shifted(origin: Any) -> Any:
+        xyz = [length + (value if number == axis else 0.0) for number, length in enumerate(origin.xyz)]
+        return origin.model_copy(update={"xyz": tuple(xyz)})
 
     if offset["joint"] is None:
         return robot.model_copy(update={"facts": facts.model_copy(update={"flange": shifted(facts.flange)})})

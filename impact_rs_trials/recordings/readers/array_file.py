@@ -40,7 +40,7 @@ class ArrayFile:
     """One NPZ, HDF5, MAT or PyTorch file.
 
     Attributes:
-        unsealed: Arrays without checksums; arrays of an NPZ or PyTorch file always have one.
+        unsealed: Names of arrays without checksums; arrays of an NPZ or PyTorch file always have one.
 
     Args:
         path: The file.
@@ -54,9 +54,9 @@ class ArrayFile:
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
         self.unsealed: frozenset[str] = frozenset()
-        named = [array for source in mapping.signals.values() for array in _arrays_of(source, mapping)]
-        within = {names.fill(array).strip("/") for array in named} if mapping.holds_runs else None
-        self._arrays, self.unsealed = _read(path, within)
+        array_names = [array for source in mapping.signals.values() for array in _arrays_of(source, mapping)]
+        loaded = {names.fill(array).strip("/") for array in array_names} if mapping.holds_runs else None
+        self._arrays, self.unsealed = _read(path, loaded)
 
     @staticmethod
     def arrays_of(path: Path) -> dict[str, NDArray[Any]]:
@@ -66,7 +66,9 @@ class ArrayFile:
             InputError: It is no such file.
         """
         arrays = _read(path)[0]
-        return {name: one.ravel() if one.ndim == 2 and 1 in one.shape else one for name, one in arrays.items()}
+        return {
+            name: array.ravel() if array.ndim == 2 and 1 in array.shape else array for name, array in arrays.items()
+        }
 
     @staticmethod
     def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
@@ -97,55 +99,55 @@ class ArrayFile:
             raise MissingSignal(
                 f"signals.{name}.array is missing in the mapping", file=self._path, key=f"signals.{name}"
             )
-        place, width = f"array {source.array!r} ({name})", self._mapping.width(name)
+        label, width = f"array {source.array!r} ({name})", self._mapping.width(name)
         values = self._array(self._names.fill(source.array), name, f"signals.{name}.array")
         if width == 1 and values.ndim == 1:
             values = values[:, None]
         if name == "object_pose" and are_transforms(values.shape):
             poses = poses_of(values)
             if poses is None:
-                text = f"{place} is {values.shape}, expected homogeneous transforms, with the last row 0 0 0 1"
+                text = f"{label} is {values.shape}, expected homogeneous transforms, with the last row 0 0 0 1"
                 raise InputError(text, file=self._path)
             values = poses
         time = self._time(source, name, values)
-        own = {self._names.fill(array).strip("/") for array in _arrays_of(source, self._mapping)}
-        remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed & own else ()
-        whole = values.shape[1] if source.entries is not None and values.ndim == 2 else width
+        arrays = {self._names.fill(array).strip("/") for array in _arrays_of(source, self._mapping)}
+        remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed & arrays else ()
+        numbers = values.shape[1] if source.entries is not None and values.ndim == 2 else width
         if values.ndim == 2 and values.shape[0] != time.size == values.shape[1]:
-            whole, values = values.shape[0] if source.entries is not None else width, values.T
-            remarks += (f"{place} has its samples in columns: transposed",)
-        if values.shape != (time.size, whole):
+            numbers, values = values.shape[0] if source.entries is not None else width, values.T
+            remarks += (f"{label} has its samples in columns: transposed",)
+        if values.shape != (time.size, numbers):
             expected = f"{time.size} samples x {width} {'numbers' if name in WIDTHS else 'joints'}"
-            more = ""
+            hint = ""
             if values.ndim == 2 and values.shape[0] == time.size and values.shape[1] > width:
-                more = f"; entries in the mapping says which of the {values.shape[1]} numbers"
-            raise InputError(f"{place} is {values.shape}, expected {expected}{more}", file=self._path)
+                hint = f"; entries in the mapping says which of the {values.shape[1]} numbers"
+            raise InputError(f"{label} is {values.shape}, expected {expected}{hint}", file=self._path)
         if source.entries is not None:
-            if whole < max(source.entries):
-                text = f"{place} has {whole} numbers a sample, expected at least the {max(source.entries)} of entries"
+            if numbers < max(source.entries):
+                text = f"{label} has {numbers} numbers a sample, expected at least the {max(source.entries)} of entries"
                 raise InputError(text, file=self._path, key=f"signals.{name}.entries")
             values = values[:, [entry - 1 for entry in source.entries]]
-        return Series(place, time + source.delay, self._mapping.to_si(name, values), remarks=remarks).sampled()
+        return Series(label, time + source.delay, self._mapping.to_si(name, values), remarks=remarks).sampled()
 
     def _time(self, source: SignalSource, name: SignalName, values: Array) -> Array:
         """Timestamps of the samples of a signal [s]."""
         clock = self._mapping.clock(source)
         if clock.rate is not None and clock.unit != "frames":
             width = self._mapping.width(name)
-            one_by_width = source.entries is None and values.ndim == 2 and width in values.shape
+            width_in_shape = source.entries is None and values.ndim == 2 and width in values.shape
             # A recording has more samples than numbers a sample.
-            count = values.size // width if one_by_width else max(values.shape, default=0)
+            count = values.size // width if width_in_shape else max(values.shape, default=0)
             return np.asarray(np.arange(count) / clock.rate)
         if clock.unit == "date":
             text = "dates in arrays need no unit (datetime64); expected the unit of numbers: s, ms, us or ns"
             raise InputError(text, file=self._path, key="time.unit", value=clock.unit)
-        named = clock.array
+        clock_array = clock.array
         key = f"signals.{name}.time_array" if source.time_array else TIME_KEY
-        if not isinstance(named, str):
-            pair = [self._names.fill(one) for one in named]
-            whole, rest = (self._stamps(one, f"time of {name}", key) for one in pair)
-            return seconds_of_pair(self._path, f"arrays {pair[0]!r} and {pair[1]!r} (time)", whole, rest)
-        array = self._names.fill(named)
+        if not isinstance(clock_array, str):
+            pair = [self._names.fill(array_name) for array_name in clock_array]
+            seconds, nanoseconds = (self._stamps(array_name, f"time of {name}", key) for array_name in pair)
+            return seconds_of_pair(self._path, f"arrays {pair[0]!r} and {pair[1]!r} (time)", seconds, nanoseconds)
+        array = self._names.fill(clock_array)
         stamps = self._stamps(array, f"time of {name}", key)
         if stamps.ndim != 1:
             raise InputError(f"array {array!r} (time) is {stamps.shape}, expected one number a sample", file=self._path)
@@ -154,7 +156,7 @@ class ArrayFile:
         return seconds_by(self._path, clock, stamps)
 
     def _stamps(self, name: str, meaning: str, key: str) -> NDArray[Any]:
-        """An array of time, as it is if it holds integers or dates; a vector of MATLAB has one axis."""
+        """An array of time: integers and dates unchanged, other numbers as floats; a vector of MATLAB with one axis."""
         stored = self._stored(name, meaning, key)
         stamps = stored if stored.dtype.kind in "iu" + DATES else self._array(name, meaning, key)
         return stamps.ravel() if stamps.ndim == 2 and 1 in stamps.shape else stamps
@@ -162,8 +164,8 @@ class ArrayFile:
     def _stored(self, name: str, meaning: str, key: str) -> NDArray[Any]:
         name = name.strip("/")
         if name not in self._arrays:
-            near, found = did_you_mean(name, self._arrays), ", ".join(self._arrays)
-            text = f"no array {name!r} ({meaning}){near}; found: {found}"
+            suggestion, names = did_you_mean(name, self._arrays), ", ".join(self._arrays)
+            text = f"no array {name!r} ({meaning}){suggestion}; found: {names}"
             raise MissingSignal(text, file=self._path, key=f"{key} of the mapping")
         return self._arrays[name]
 
@@ -181,17 +183,17 @@ def _arrays_of(source: SignalSource, mapping: Mapping) -> list[str]:
 
 
 @once
-def _read(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
-    """Arrays by name, and the names without checksums; HDF5 arrays not in ``within`` are not loaded (left empty)."""
+def _read(path: Path, loaded: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
+    """Arrays by name, and the names without checksums; HDF5 arrays not in ``loaded`` are not loaded (left empty)."""
     if suffix_of(path) == ".npz":
         return _read_npz(path), frozenset()
     if suffix_of(path) == ".pt":
         return read_torch(path), frozenset()
     if suffix_of(path) in HDF5:
-        return _read_hdf5(path, within)
+        return _read_hdf5(path, loaded)
     with path.open("rb") as file:
-        newest = file.read(128).startswith(b"MATLAB 7.3")
-    if not newest:
+        is_hdf5 = file.read(128).startswith(b"MATLAB 7.3")
+    if not is_hdf5:
         arrays = read_mat(path)
         return arrays, frozenset(arrays)
     arrays, unsealed = _read_hdf5(path)
@@ -206,12 +208,12 @@ def _read_npz(path: Path) -> dict[str, Array]:
     except Exception as error:  # a damaged archive fails in zipfile, in zlib or in NumPy
         raise InputError(f"not a readable NPZ file ({error})", file=path) from None
     if len(arrays) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"two arrays are called {twice!r}", file=path)
+        repeated = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"two arrays are called {repeated!r}", file=path)
     return arrays
 
 
-def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
+def _read_hdf5(path: Path, loaded: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
     """Arrays by name, and the names without checksums."""
     require("h5py", path)
     import h5py
@@ -219,14 +221,14 @@ def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Ar
     arrays: dict[str, Array] = {}
     unsealed: set[str] = set()
 
-    def keep(name: str | bytes, item: object) -> None:
+    def visit(name: str | bytes, item: object) -> None:
         if isinstance(name, bytes):  # no text in UTF-8
             raise InputError(f"not a readable HDF5 file (name {name!r})", file=path)
         if not isinstance(item, h5py.Dataset):
             return
         if not _holds_numbers(item.attrs):
             return
-        if within is not None and name not in within:
+        if loaded is not None and name not in loaded:
             arrays[name] = np.zeros(0)
             return
         if item.is_virtual or item.external:
@@ -238,7 +240,7 @@ def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Ar
 
     try:
         with h5py.File(path, "r") as file:
-            file.visititems(keep)
+            file.visititems(visit)
     except InputError:
         raise
     except Exception as error:  # a damaged file can fail anywhere inside the library

@@ -41,11 +41,11 @@ from impact_rs_trials.recordings.remarks import remark
 MAX_STAMP_DRIFT_S = 0.002  # between log and header timestamps without a warning
 EXPECTED_LOG_DELAY_S = (-0.005, 0.05)  # behind the joint states; outside of this range comes a warning
 
-FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench", "acceleration")  # what its message type says where it is
+FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench", "acceleration")  # the message type determines the field
 
-STORED = (".db3", ".mcap", ".zstd")  # endings of files of messages
+MESSAGE_SUFFIXES = (".db3", ".mcap", ".zstd")  # endings of files of messages
 
-OTHER_PROFILE = "Profile is not ros2"  # as rosbags says it of a file in a folder
+OTHER_PROFILE = "Profile is not ros2"  # message of rosbags about a file in a folder
 POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
 
 
@@ -53,14 +53,14 @@ BagReader = Reader | Ros1Reader | McapMessages
 
 
 def open_bag(path: Path) -> BagReader:
-    """Reader of a bag of ROS 2, of one of ROS 1 (``.bag``), or of an MCAP file without ROS."""
+    """Reader of a ROS 2 bag, a ROS 1 bag (``.bag``) or an MCAP file without ROS."""
     if suffix_of(path) == ROS1_SUFFIX:
         return Ros1Reader(path)
     return McapMessages(path) if is_without_ros(path) else Reader(path)
 
 
 def unreadable(path: Path, error: Exception) -> InputError:
-    """Why a bag could not be read, and for a file without messages of ROS what to do.
+    """Error of a bag that could not be read, with a remedy for MCAP files without ROS messages.
 
     Args:
         path: The bag.
@@ -77,17 +77,17 @@ def unreadable(path: Path, error: Exception) -> InputError:
 
 
 def deserialized(store: Typestore, path: Path, data: Any, kind: str) -> Any:
-    """A message of a bag from its bytes; one that its reader has decoded is returned."""
+    """A message of a bag from its bytes; a message that the reader has decoded is returned unchanged."""
     if not isinstance(data, bytes):
         return data
     return store.deserialize_ros1(data, kind) if suffix_of(path) == ROS1_SUFFIX else store.deserialize_cdr(data, kind)
 
 
 def typestore_for(path: Path, definitions: Sequence[str] = ()) -> Typestore:
-    """Standard messages of the ROS of a bag, and the definitions that a mapping names.
+    """Standard message types of the ROS version of a bag, and packages of definitions that a mapping names.
 
     Raises:
-        InputError: There are no such definitions.
+        InputError: There is no such package of definitions.
     """
     store = get_typestore(Stores.ROS1_NOETIC if suffix_of(path) == ROS1_SUFFIX else Stores.ROS2_JAZZY)
     for package in definitions:
@@ -102,7 +102,7 @@ def typestore_for(path: Path, definitions: Sequence[str] = ()) -> Typestore:
 
 
 def register(store: Typestore, connection: Connection) -> None:
-    """Prefer the definition that the bag carries itself."""
+    """Register the message definition of the bag in place of the standard one."""
     kind, definition = connection.msgtype, connection.msgdef
     if connection.msgdef.format == MessageDefinitionFormat.NONE or kind.startswith(("sensor_msgs/", "std_msgs/")):
         return
@@ -112,11 +112,11 @@ def register(store: Typestore, connection: Connection) -> None:
     }
     types = parse[definition.format]()
     package = kind.split("/")[0]
-    own = {name: value for name, value in types.items() if name.split("/")[0] == package}
-    for name in own:
+    package_types = {name: value for name, value in types.items() if name.split("/")[0] == package}
+    for name in package_types:
         for table in (store.fielddefs, store.types):
             table.pop(name, None)
-    store.register(own)
+    store.register(package_types)
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,8 @@ class Recorded:
 
     Attributes:
         logs: Log times, ``(k,)`` [ns].
-        messages: ``k`` of them, or one that holds the numbers of all (:func:`~impact_rs_trials.bags.cdr.stacked`).
-        stacked: Whether it is one.
+        messages: k messages, or one message with the numbers of all (:func:`~impact_rs_trials.bags.cdr.stacked`).
+        stacked: Whether ``messages`` is that one message.
     """
 
     logs: NDArray[np.int64]
@@ -165,7 +165,7 @@ class OpenedBag:
         _check_pages(self._path)
         try:
             with open_bag(self._path) as reader:
-                self.unread, self._connections = _files_beside(self._path, reader), list(reader.connections)
+                self.unread, self._connections = _unnamed_files(self._path, reader), list(reader.connections)
                 chosen = choose(self._connections)
                 missing = [connection for connection in chosen if connection.topic not in self.messages]
                 rows: dict[str, list[tuple[int, str, Any]]] = {connection.topic: [] for connection in missing}
@@ -173,12 +173,12 @@ class OpenedBag:
                     register(self._store, connection)
                 for connection, log, data in reader.messages(connections=missing) if missing else ():  # [] is all
                     rows[connection.topic].append((log, connection.msgtype, data))
-            read = {topic: self._recorded(found) for topic, found in rows.items()}
+            read_messages = {topic: self._recorded(topic_rows) for topic, topic_rows in rows.items()}
         except InputError:
             raise
         except Exception as error:  # a damaged file can fail anywhere inside the library
             raise unreadable(self._path, error) from None
-        self.messages |= read
+        self.messages |= read_messages
         return chosen
 
     def _recorded(self, rows: list[tuple[int, str, Any]]) -> Recorded:
@@ -186,9 +186,9 @@ class OpenedBag:
         logs = np.array([log for log, _, _ in rows], dtype=np.int64)
         in_cdr = suffix_of(self._path) != ROS1_SUFFIX and all(isinstance(data, bytes) for _, _, data in rows)
         if in_cdr and len({kind for _, kind, _ in rows}) == 1:
-            one = stacked(self._store, rows[0][1], [data for _, _, data in rows])
-            if one is not None:
-                return Recorded(logs, [one], True)
+            stacked_message = stacked(self._store, rows[0][1], [data for _, _, data in rows])
+            if stacked_message is not None:
+                return Recorded(logs, [stacked_message], True)
         return Recorded(logs, [deserialized(self._store, self._path, data, kind) for _, kind, data in rows], False)
 
 
@@ -228,10 +228,10 @@ class BagFile:
         chosen = opened.read(lambda connections: self._chosen(wanted, connections))
         self._messages = opened.messages
         for connection in chosen:
-            found = self._messages[connection.topic].logs.size
-            if found != connection.msgcount:
-                text = f"{connection.topic}: {found} messages, {connection.msgcount} are counted in the bag's metadata"
-                if not found:
+            count = self._messages[connection.topic].logs.size
+            if count != connection.msgcount:
+                text = f"{connection.topic}: {count} messages, {connection.msgcount} are counted in the bag's metadata"
+                if not count:
                     raise InputError(text, file=path)
                 self._lost[connection.topic] = (f"{text}: a part is lost, or the metadata are of another bag",)
         self._unread = opened.unread
@@ -246,18 +246,18 @@ class BagFile:
         """
         connection = self._connection(name, source)
         recorded = self._messages[connection.topic]
-        place = f"{connection.topic}: {source.field or connection.msgtype} ({name})"
+        label = f"{connection.topic}: {source.field or connection.msgtype} ({name})"
         if name in FIELDLESS:
-            found = self._samples(place, name, source, recorded)
-            kept, headers = [index for index, _, _ in found], [header for _, header, _ in found]
-            values = _in_rows(np.array([numbers for _, _, numbers in found], dtype=float))
+            samples = self._samples(label, name, source, recorded)
+            indices, headers = [index for index, _, _ in samples], [header for _, header, _ in samples]
+            values = _in_rows(np.array([numbers for _, _, numbers in samples], dtype=float))
         else:
-            kept, values = self._numbers(place, name, source, recorded)
-            headers = [getattr(recorded.messages[index], "header", None) for index in kept]
-        log = 1e-9 * (recorded.logs if recorded.stacked else recorded.logs[kept]).astype(float)
+            indices, values = self._numbers(label, name, source, recorded)
+            headers = [getattr(recorded.messages[index], "header", None) for index in indices]
+        log = 1e-9 * (recorded.logs if recorded.stacked else recorded.logs[indices]).astype(float)
         time, remarks = self._clock(name, source, connection.topic, headers, log)
         remarks += (*self._unread, *self._lost.get(connection.topic, ()))
-        return Series(place, time + source.delay, values, log, remarks)
+        return Series(label, time + source.delay, values, log, remarks)
 
     def _chosen(self, wanted: tuple[SignalName, ...], connections: list[Connection]) -> list[Connection]:
         self._connections = connections
@@ -276,26 +276,26 @@ class BagFile:
         if source.topic is None or (source.field is None and name not in FIELDLESS):
             raise MissingSignal(f"the mapping says no topic and field for {name}", file=self._path)
         topic = self._names.fill(source.topic)
-        named = [c for c in self._connections if fnmatchcase(c.topic, topic)]
-        found = [c for c in named if source.type is None or c.msgtype == source.type]
+        of_topic = [c for c in self._connections if fnmatchcase(c.topic, topic)]
+        matches = [c for c in of_topic if source.type is None or c.msgtype == source.type]
         expected = f"{name}: expected topic {topic}" + ("" if source.type is None else f" of type {source.type}")
         if not self._connections:
             raise MissingSignal(f"{expected}, the bag is empty", file=self._path)
-        if len(found) > 1:
-            filled = [c for c in found if c.msgcount > 0]
-            found = filled if len(filled) == 1 else found
-        if len(found) > 1:
-            topics = ", ".join(c.topic for c in found)
+        if len(matches) > 1:
+            filled = [c for c in matches if c.msgcount > 0]
+            matches = filled if len(filled) == 1 else matches
+        if len(matches) > 1:
+            topics = ", ".join(c.topic for c in matches)
             raise InputError(
                 f"{expected}, found several: {topics}; name one of them in a mapping file", file=self._path
             )
-        if not found:
-            near = did_you_mean(topic, [c.topic for c in self._connections]) if not named else ""
-            shown = ", ".join(f"{c.topic} ({c.msgtype})" for c in (named or self._connections)[:5])
-            raise MissingSignal(f"{expected}, found {shown}{near}", file=self._path)
-        if found[0].msgcount == 0:
-            raise MissingSignal(f"{expected}, topic {found[0].topic} holds no message", file=self._path)
-        return found[0]
+        if not matches:
+            suggestion = did_you_mean(topic, [c.topic for c in self._connections]) if not of_topic else ""
+            shown = ", ".join(f"{c.topic} ({c.msgtype})" for c in (of_topic or self._connections)[:5])
+            raise MissingSignal(f"{expected}, found {shown}{suggestion}", file=self._path)
+        if matches[0].msgcount == 0:
+            raise MissingSignal(f"{expected}, topic {matches[0].topic} holds no message", file=self._path)
+        return matches[0]
 
     # ---- time -------------------------------------------------------------------------------------------------------
 
@@ -324,13 +324,13 @@ class BagFile:
             return stamps + float(np.median(log - stamps)), ()
         if "position" not in self._mapping.signals:  # no joint states to be late against
             return stamps, ()
-        late = float(np.median(log - stamps)) - self._log_after_stamp()[0]
-        if name in WIDTHS and not EXPECTED_LOG_DELAY_S[0] < late < EXPECTED_LOG_DELAY_S[1]:
+        excess_delay = float(np.median(log - stamps)) - self._log_after_stamp()[0]
+        if name in WIDTHS and not EXPECTED_LOG_DELAY_S[0] < excess_delay < EXPECTED_LOG_DELAY_S[1]:
             words = (
                 "{}: logged {:+.1f} ms after joint states of the same stamp: a slow tracker, or another clock? "
                 "signals.{}.delay corrects it"
             )
-            return stamps, (remark(words, topic, 1e3 * late, name),)
+            return stamps, (remark(words, topic, 1e3 * excess_delay, name),)
         return stamps, ()
 
     def _log_after_stamp(self) -> tuple[float, str]:
@@ -341,158 +341,161 @@ class BagFile:
             connection = self._connection("position", self._mapping.signals["position"])
             recorded = self._messages[connection.topic]
             log = 1e-9 * recorded.logs.astype(float)
-            later = log - _stamps([message.header for message in recorded.messages])
-            tenth = max(1, later.size // 10)
-            drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
+            delay = log - _stamps([message.header for message in recorded.messages])
+            tenth = max(1, delay.size // 10)
+            drift = float(np.median(delay[-tenth:]) - np.median(delay[:tenth]))
             text = remark(" (which drifts by {:.1f} ms during the run)", 1e3 * drift)
-            self._shift = float(np.median(later)), text if abs(drift) > MAX_STAMP_DRIFT_S else ""
+            self._shift = float(np.median(delay)), text if abs(drift) > MAX_STAMP_DRIFT_S else ""
         return self._shift
 
     # ---- numbers ----------------------------------------------------------------------------------------------------
 
     def _numbers(
-        self, place: str, name: SignalName, source: SignalSource, recorded: Recorded
+        self, label: str, name: SignalName, source: SignalSource, recorded: Recorded
     ) -> tuple[list[int], Array]:
         """Indices of the messages with a signal, and its numbers ``(k, n)``, joints in the mapping's order."""
         assert source.field is not None
         orders: dict[tuple[str, ...], list[int] | None] = {}
-        kept: list[int] = []
+        indices: list[int] = []
         rows: list[Array] = []
         width, entries = self._mapping.width(name), source.entries
-        first = self._field(place, recorded.messages[0], source.field, recorded)
-        whole = None if entries is None else recorded.size(first)
-        if entries is not None and whole is not None and 0 < whole < max(entries):
-            text = f"{place} has {whole} numbers, expected at least the {max(entries)} of entries"
+        first = self._field(label, recorded.messages[0], source.field, recorded)
+        count = None if entries is None else recorded.size(first)
+        if entries is not None and count is not None and 0 < count < max(entries):
+            text = f"{label} has {count} numbers, expected at least the {max(entries)} of entries"
             raise InputError(text, file=self._path, key=f"signals.{name}.entries of the mapping")
         for index, message in enumerate(recorded.messages):
-            row = self._field(place, message, source.field, recorded)
+            row = self._field(label, message, source.field, recorded)
             size = recorded.size(row)
-            joints = () if source.names is None else tuple(self._field(place, message, source.names, recorded))
+            joints = () if source.names is None else tuple(self._field(label, message, source.names, recorded))
             if joints not in orders:
-                nameless = list(range(width)) if entries is None else [entry - 1 for entry in entries]
-                orders[joints] = self._order(place, joints) if joints else nameless
+                entry_order = list(range(width)) if entries is None else [entry - 1 for entry in entries]
+                orders[joints] = self._order(label, joints) if joints else entry_order
             order = orders[joints]
             if order is None:  # another device on the same topic, a gripper for example
                 continue
             if size == 0 and not rows:
                 if name in ("position", "velocity", "torque"):
-                    raise InputError(f"{place} is empty; expected {width} numbers", file=self._path)
-                raise MissingSignal(f"{place} is empty; expected {width} numbers", file=self._path)
-            if size != (len(joints) or whole or width):
+                    raise InputError(f"{label} is empty; expected {width} numbers", file=self._path)
+                raise MissingSignal(f"{label} is empty; expected {width} numbers", file=self._path)
+            if size != (len(joints) or count or width):
                 expected = (
                     f"{len(joints)} joint names, expected one each" if joints else f"{width} joints, expected one each"
                 )
-                if not joints and whole is not None:
-                    expected = f"the {whole} of the first message, expected as many in all"
+                if not joints and count is not None:
+                    expected = f"the {count} of the first message, expected as many in all"
                 elif not joints and size > width:
                     expected += f"; entries in the mapping says which of the {size}"
-                raise InputError(f"{place}: message {index} has {size} numbers for {expected}", file=self._path)
-            kept.append(index)
+                raise InputError(f"{label}: message {index} has {size} numbers for {expected}", file=self._path)
+            indices.append(index)
             rows.append(np.asarray(row, dtype=float).reshape(-1, size).take(order, axis=1))
         if not rows:
-            seen = ", ".join(sorted({joint for joints in orders for joint in joints}))
-            raise InputError(f"{place}: joint {self._joints[0]} is missing; the messages name {seen}", file=self._path)
-        return kept, np.concatenate(rows) * self._mapping.factor(name) + self._mapping.offset(name)
+            named_joints = ", ".join(sorted({joint for joints in orders for joint in joints}))
+            raise InputError(
+                f"{label}: joint {self._joints[0]} is missing; the messages name {named_joints}", file=self._path
+            )
+        return indices, np.concatenate(rows) * self._mapping.factor(name) + self._mapping.offset(name)
 
-    def _field(self, place: str, message: Any, path: str, recorded: Recorded) -> Any:
+    def _field(self, label: str, message: Any, path: str, recorded: Recorded) -> Any:
         """Value at a path of fields and indices, ``points.0.effort``, of one of the recorded messages."""
-        found = message
+        value = message
         try:
             for part in path.split("."):
                 if not part.isdigit():
-                    found = getattr(found, part)
+                    value = getattr(value, part)
                 else:
-                    found = found[:, int(part)] if recorded.stacked else found[int(part)]
+                    value = value[:, int(part)] if recorded.stacked else value[int(part)]
         except (AttributeError, IndexError, TypeError):
             fields = [field for field in vars(message) if not field.startswith("__")]
             raise InputError(
-                f"{place}: {message.__msgtype__} has no such field{did_you_mean(path, fields)}; it has: "
+                f"{label}: {message.__msgtype__} has no such field{did_you_mean(path, fields)}; it has: "
                 f"{', '.join(fields)}",
                 file=self._path,
             ) from None
-        return found
+        return value
 
-    def _order(self, place: str, names: tuple[str, ...]) -> list[int] | None:
+    def _order(self, label: str, names: tuple[str, ...]) -> list[int] | None:
         """Indices of the mapping's joints among the names of a message; None if it names no such joint."""
-        found = [[i for i, name in enumerate(names) if fnmatchcase(name, joint)] for joint in self._joints]
-        if not any(found):
+        candidates = [[i for i, name in enumerate(names) if fnmatchcase(name, joint)] for joint in self._joints]
+        if not any(candidates):
             return None
         if any(
-            len(each) > 1 for each in found
+            len(indices) > 1 for indices in candidates
         ):  # finger_joint1 besides joint1: what * stands for must be common to all
             prefixes = [
-                {_stands_for(joint, names[i]) for i in each} for joint, each in zip(self._joints, found, strict=True)
+                {_text_of_star(joint, names[i]) for i in indices}
+                for joint, indices in zip(self._joints, candidates, strict=True)
             ]
             common = set.intersection(*prefixes)
             if len(common) == 1:
-                found = [
-                    [i for i in each if _stands_for(joint, names[i]) in common]
-                    for joint, each in zip(self._joints, found, strict=True)
+                candidates = [
+                    [i for i in indices if _text_of_star(joint, names[i]) in common]
+                    for joint, indices in zip(self._joints, candidates, strict=True)
                 ]
-        for joint, each in zip(self._joints, found, strict=True):
-            if len(each) != 1:
-                what = "is missing" if not each else "fits several joints"
+        for joint, indices in zip(self._joints, candidates, strict=True):
+            if len(indices) != 1:
+                problem = "is missing" if not indices else "fits several joints"
                 raise InputError(
-                    f"{place}: joint {joint} {what}; the message names {', '.join(names)}", file=self._path
+                    f"{label}: joint {joint} {problem}; the message names {', '.join(names)}", file=self._path
                 )
-        return [each[0] for each in found]
+        return [indices[0] for indices in candidates]
 
     def _samples(
-        self, place: str, name: SignalName, source: SignalSource, recorded: Recorded
+        self, label: str, name: SignalName, source: SignalSource, recorded: Recorded
     ) -> list[tuple[int, Any, list[Any]]]:
         """Index of the message, header and numbers of every pose, wrench or acceleration."""
         messages = recorded.messages
         if name == "object_pose" and source.field is None and hasattr(messages[0], "transforms"):
-            child = self._child(place, source, messages)
+            child = self._child(label, source, messages)
             return [
-                (index, transform.header, self._pose(place, transform))
+                (index, transform.header, self._pose(label, transform))
                 for index, message in enumerate(messages)
                 for transform in message.transforms
                 if transform.child_frame_id == child
             ]
-        read = {"object_pose": self._pose, "wrench": self._wrench, "acceleration": self._acceleration}[name]
-        found = []
+        numbers_of = {"object_pose": self._pose, "wrench": self._wrench, "acceleration": self._acceleration}[name]
+        samples = []
         for index, message in enumerate(messages):
-            holder = message if source.field is None else self._field(place, message, source.field, recorded)
-            numbers = read(place, holder)
-            found.append((index, getattr(message, "header", None), numbers))
-        return found
+            holder = message if source.field is None else self._field(label, message, source.field, recorded)
+            numbers = numbers_of(label, holder)
+            samples.append((index, getattr(message, "header", None), numbers))
+        return samples
 
-    def _child(self, place: str, source: SignalSource, messages: list[Any]) -> str:
+    def _child(self, label: str, source: SignalSource, messages: list[Any]) -> str:
         """The one child frame of transforms that the mapping selects."""
         children = sorted({transform.child_frame_id for message in messages for transform in message.transforms})
-        wanted = self._names.fill(source.child_frame or "*")
-        chosen = [child for child in children if fnmatchcase(child, wanted)]
+        pattern = self._names.fill(source.child_frame or "*")
+        chosen = [child for child in children if fnmatchcase(child, pattern)]
         if not chosen:
-            near = did_you_mean(wanted, children)
+            suggestion = did_you_mean(pattern, children)
             raise MissingSignal(
-                f"{place}: no child_frame_id {wanted}{near}; found: {', '.join(children)}", file=self._path
+                f"{label}: no child_frame_id {pattern}{suggestion}; found: {', '.join(children)}", file=self._path
             )
         if len(chosen) > 1:
             raise InputError(
-                f"{place}: {', '.join(chosen)} all fit child_frame {wanted}; name one of them in a mapping file",
+                f"{label}: {', '.join(chosen)} all fit child_frame {pattern}; name one of them in a mapping file",
                 file=self._path,
             )
         return chosen[0]
 
-    def _wrench(self, place: str, holder: Any) -> list[Any]:
+    def _wrench(self, label: str, holder: Any) -> list[Any]:
         """Force and torque of a Wrench or WrenchStamped."""
         holder = getattr(holder, "wrench", holder)
         if not (hasattr(holder, "force") and hasattr(holder, "torque")):
-            raise InputError(f"{place}: expected a WrenchStamped, or a field that holds a wrench", file=self._path)
+            raise InputError(f"{label}: expected a WrenchStamped, or a field that holds a wrench", file=self._path)
         factor = float(self._mapping.factor("wrench"))
         return [factor * number for number in (*_xyz(holder.force), *_xyz(holder.torque))]
 
-    def _acceleration(self, place: str, holder: Any) -> list[Any]:
+    def _acceleration(self, label: str, holder: Any) -> list[Any]:
         """Linear acceleration of an Imu or AccelStamped, or of a field that holds it."""
         holder = getattr(holder, "accel", holder)
         holder = getattr(holder, "linear_acceleration", getattr(holder, "linear", holder))
         if not all(hasattr(holder, axis) for axis in "xyz"):
-            raise InputError(f"{place}: expected an Imu, an AccelStamped, or a field x, y, z", file=self._path)
+            raise InputError(f"{label}: expected an Imu, an AccelStamped, or a field x, y, z", file=self._path)
         factor = float(self._mapping.factor("acceleration"))
         return [factor * number for number in _xyz(holder)]
 
-    def _pose(self, place: str, holder: Any) -> list[Any]:
+    def _pose(self, label: str, holder: Any) -> list[Any]:
         """Position and quaternion, x y z w, of a pose or transform, however deep it lies."""
         scale = float(self._mapping.factor("object_pose"))
         for _ in range(3):  # PoseWithCovarianceStamped and Odometry hold a pose in a pose
@@ -503,18 +506,18 @@ class BagFile:
                     return [*numbers, *_xyz(quaternion), _double(quaternion.w)]
             holder = getattr(holder, "pose", getattr(holder, "transform", holder))
         raise InputError(
-            f"{place}: expected a PoseStamped, TransformStamped, TFMessage or Odometry, or a field that holds a pose",
+            f"{label}: expected a PoseStamped, TransformStamped, TFMessage or Odometry, or a field that holds a pose",
             file=self._path,
         )
 
 
 def _check_pages(path: Path) -> None:
-    """Refuse a truncated SQLite file by the page count in its header; SQLite itself reads the rest without an error."""
+    """Refuse a truncated SQLite file by the page count in its header; SQLite reads such a file without an error."""
     for file in sorted(path.glob("*.db3")) if path.is_dir() else [path]:
         if suffix_of(file) != ".db3":
             continue
-        with file.open("rb") as opened:
-            head = opened.read(100)
+        with file.open("rb") as stream:
+            head = stream.read(100)
         if not head.startswith(b"SQLite format 3\0") or head[24:28] != head[92:96]:  # no such file, or an old count
             continue
         size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
@@ -524,16 +527,18 @@ def _check_pages(path: Path) -> None:
             raise InputError(text, file=file)
 
 
-def _files_beside(path: Path, reader: BagReader) -> tuple[str, ...]:
+def _unnamed_files(path: Path, reader: BagReader) -> tuple[str, ...]:
     """A warning about message files in the folder of a bag that its metadata do not name."""
     if not path.is_dir():
         return ()
     storage = getattr(reader, "storage", None)
-    named = {Path(str(one.path)).name for one in getattr(storage, "storages", ())}
-    others = sorted(
-        file.name for file in path.iterdir() if {file.name, file.stem}.isdisjoint(named) and suffix_of(file) in STORED
+    named = {Path(str(storage_file.path)).name for storage_file in getattr(storage, "storages", ())}
+    unnamed = sorted(
+        file.name
+        for file in path.iterdir()
+        if {file.name, file.stem}.isdisjoint(named) and suffix_of(file) in MESSAGE_SUFFIXES
     )
-    return (f"not read, for metadata.yaml does not name them: {', '.join(others)}",) if others else ()
+    return (f"not read, for metadata.yaml does not name them: {', '.join(unnamed)}",) if unnamed else ()
 
 
 def _stamps(headers: list[Any]) -> Array:
@@ -554,7 +559,7 @@ def _in_rows(numbers: Array) -> Array:
     return np.ascontiguousarray(numbers[0].T) if numbers.ndim == 3 else numbers
 
 
-def _stands_for(pattern: str, name: str) -> str:
+def _text_of_star(pattern: str, name: str) -> str:
     """Text of the first ``*`` of a pattern in a matching name."""
     before, _, after = pattern.partition("*")
     return name[len(before) : len(name) - len(after)]

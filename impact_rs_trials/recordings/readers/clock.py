@@ -27,7 +27,7 @@ class Gap:
 
     Attributes:
         start: Timestamp of the last sample before it [s].
-        length: Until the next sample [s].
+        length: Time until the next sample [s].
     """
 
     start: float
@@ -39,52 +39,52 @@ class Gap:
         return self.start + self.length
 
 
-def check_stamps(path: Path, what: str, time: Array) -> None:
+def check_stamps(path: Path, label: str, time: Array) -> None:
     """Check that timestamps are finite and strictly increasing.
 
     Args:
         path: File, for messages.
-        what: Topic or column, for messages.
+        label: Topic or column, for messages.
         time: Stamps, ``(k,)`` [s].
 
     Raises:
-        InputError: They are not; the message names place and remedy.
+        InputError: They are not; the message has time and remedy.
     """
     if not np.isfinite(time).all():
-        raise InputError(f"{what}: sample {int(np.argmin(np.isfinite(time)))} has no finite time", file=path)
+        raise InputError(f"{label}: sample {int(np.argmin(np.isfinite(time)))} has no finite time", file=path)
     steps = np.diff(time)
     if not np.any(steps <= 0.0):
         return
     index = int(np.argmax(steps <= 0.0))
-    at = f"at t = {time[index] - time[0]:.3f} s"
+    position = f"at t = {time[index] - time[0]:.3f} s"
     if steps[index] < 0.0:
         raise InputError(
-            f"{what}: time stamps run backwards by {-steps[index]:.4g} s {at}: the clock was set, or the file is not "
-            "in order; cut the recording there, or sort it by time",
+            f"{label}: time stamps run backwards by {-steps[index]:.4g} s {position}: the clock was set, or the file "
+            "is not in order; cut the recording there, or sort it by time",
             file=path,
         )
     count = int(np.sum(steps == 0.0))
     raise InputError(
-        f"{what}: time stamps stand still {at}, {count} of {time.size} repeat the one before: recorded twice, or "
-        "stamped by a clock that is too coarse; in the mapping time.repeated: keep_first keeps one sample of each, and "
-        "time.column takes other stamps",
+        f"{label}: time stamps stand still {position}, {count} of {time.size} repeat the one before: recorded twice, "
+        "or stamped by a clock that is too coarse; in the mapping time.repeated: keep_first keeps one sample of each, "
+        "and time.column takes other stamps",
         file=path,
     )
 
 
-def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: float, pauses: bool) -> None:
+def check_jumps(path: Path, label: str, time: Array, log: Array | None, largest: float, pauses: bool) -> None:
     """Check that timestamps do not jump.
 
     Args:
         path: File, for messages.
-        what: Topic or column, for messages.
+        label: Topic or column, for messages.
         time: Stamps, increasing, ``(k,)`` [s].
         log: A second clock that distinguishes jumps from pauses, ``(k,)`` [s]; None: not available.
         largest: Largest step that is no jump [s].
         pauses: Whether a pause, which the second clock shows as well, is an error, too.
 
     Raises:
-        InputError: They do; the message names place and remedy.
+        InputError: They jump; the message has time and remedy.
     """
     steps = np.diff(time)
     long = steps > largest
@@ -95,11 +95,11 @@ def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: 
     index = int(np.argmax(wrong))
     if jumps[index]:
         assert log is not None
-        how = f"{np.diff(log)[index]:.4g} s by the log: the clock was set"
+        reason = f"{np.diff(log)[index]:.4g} s by the log: the clock was set"
     else:
-        how = "a jump of the clock, or a pause"
+        reason = "a jump of the clock, or a pause"
     raise InputError(
-        f"{what}: time stamps jump by {steps[index]:.4g} s at t = {time[index] - time[0]:.3f} s, {how}; cut the "
+        f"{label}: time stamps jump by {steps[index]:.4g} s at t = {time[index] - time[0]:.3f} s, {reason}; cut the "
         "recording there into two runs, or leave it out",
         file=path,
     )
@@ -108,8 +108,8 @@ def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: 
 def seconds_of(stamps: NDArray[Any], unit: float) -> Array:
     """Timestamps in seconds, ``(k,)``.
 
-    Nanoseconds of a wall clock have more digits than a floating-point number: seconds and rest of integers are
-    separated first, with the rounding of a message that has both.
+    Nanoseconds of a wall clock have more digits than a floating-point number. Integers are therefore split into whole
+    seconds and remainder first, with the rounding of a ROS stamp.
 
     Args:
         stamps: Timestamps of the file, ``(k,)``.
@@ -117,8 +117,8 @@ def seconds_of(stamps: NDArray[Any], unit: float) -> Array:
     """
     if not np.issubdtype(stamps.dtype, np.integer):
         return np.asarray(stamps * unit)
-    each = round(1.0 / unit)
-    return np.asarray(stamps // each + (stamps % each) * unit)
+    per_second = round(1.0 / unit)
+    return np.asarray(stamps // per_second + (stamps % per_second) * unit)
 
 
 def seconds_of_dates(stamps: NDArray[Any]) -> Array:
@@ -128,12 +128,12 @@ def seconds_of_dates(stamps: NDArray[Any]) -> Array:
 
 
 def seconds_by(path: Path, clock: TimeSource, stamps: NDArray[Any]) -> Array:
-    """Timestamps in seconds from numbers in the unit of a clock, frames or times since the row before, ``(k,)``.
+    """Timestamps in seconds from times, frame numbers or time steps in the unit of a clock, ``(k,)``.
 
     Args:
         path: File, for messages.
-        clock: Unit of the numbers, not date; with the frame rate, and whether they are steps.
-        stamps: The numbers, ``(k,)``.
+        clock: Unit of the numbers (not ``date``), frame rate, and whether the numbers are time steps.
+        stamps: Numbers, ``(k,)``.
 
     Raises:
         InputError: The rate of frames is missing.
@@ -147,16 +147,16 @@ def seconds_by(path: Path, clock: TimeSource, stamps: NDArray[Any]) -> Array:
 
 
 def since_first(steps: Array) -> Array:
-    """Timestamps from the times since the sample before, ``(k,)`` [s]; the first sample has none before it."""
+    """Timestamps from time steps, ``(k,)`` [s]; the first step is ignored and the first stamp is 0."""
     return np.concatenate(([0.0], np.cumsum(steps[1:])))
 
 
-def seconds_of_pair(path: Path, place: str, seconds: NDArray[Any], nanoseconds: NDArray[Any]) -> Array:
+def seconds_of_pair(path: Path, label: str, seconds: NDArray[Any], nanoseconds: NDArray[Any]) -> Array:
     """Timestamps in seconds from whole seconds and nanoseconds, ``(k,)``.
 
     Args:
         path: File, for messages.
-        place: Columns or arrays, for messages.
+        label: Columns or arrays, for messages.
         seconds: Whole seconds, ``(k,)``.
         nanoseconds: 0 to 999 999 999, ``(k,)``.
 
@@ -164,14 +164,16 @@ def seconds_of_pair(path: Path, place: str, seconds: NDArray[Any], nanoseconds: 
         InputError: The numbers are out of range.
     """
     if seconds.shape != nanoseconds.shape or seconds.ndim != 1:
-        message = f"{place}: {seconds.shape} and {nanoseconds.shape}, expected two numbers a sample"
+        message = f"{label}: {seconds.shape} and {nanoseconds.shape}, expected two numbers a sample"
         raise InputError(message, file=path)
-    for numbers, what, below in ((seconds, "whole seconds", 2**33), (nanoseconds, "nanoseconds", 10**9)):
-        wrong = ~((numbers >= 0) & (numbers < below) & (np.mod(numbers, 1) == 0))
+    for numbers, meaning, limit in ((seconds, "whole seconds", 2**33), (nanoseconds, "nanoseconds", 10**9)):
+        wrong = ~((numbers >= 0) & (numbers < limit) & (np.mod(numbers, 1) == 0))
         if np.any(wrong):
             row = int(np.argmax(wrong))
-            message = f"{place}: sample {row + 1} has {numbers[row]:.12g} where {what} are expected, 0 ... {below - 1}"
-            raise InputError(f"{message}; the first counts seconds, the second the nanoseconds beside them", file=path)
+            message = (
+                f"{label}: sample {row + 1} has {numbers[row]:.12g} where {meaning} are expected, 0 ... {limit - 1}"
+            )
+            raise InputError(f"{message}; the first has whole seconds, the second the remaining nanoseconds", file=path)
     return seconds_of(seconds.astype(np.int64) * 10**9 + nanoseconds.astype(np.int64), 1e-9)
 
 
@@ -181,21 +183,21 @@ def gaps(time: Array, longest: float) -> list[Gap]:
     return [Gap(float(time[index]), float(steps[index])) for index in np.flatnonzero(steps > longest)]
 
 
-def gaps_in_words(found: list[Gap], start: float) -> str:
+def gaps_in_words(gaps_found: list[Gap], start: float) -> str:
     """``0.030 s at t = 1.250 s, ...`` with times since ``start`` [s]."""
-    shown = ", ".join(f"{gap.length:.3f} s at t = {gap.start - start:.3f} s" for gap in found[:MAX_SHOWN_GAPS])
-    return shown + (f" and {len(found) - MAX_SHOWN_GAPS} more" if len(found) > MAX_SHOWN_GAPS else "")
+    shown = ", ".join(f"{gap.length:.3f} s at t = {gap.start - start:.3f} s" for gap in gaps_found[:MAX_SHOWN_GAPS])
+    return shown + (f" and {len(gaps_found) - MAX_SHOWN_GAPS} more" if len(gaps_found) > MAX_SHOWN_GAPS else "")
 
 
 def even_grid(time: Array) -> Array:
     """Times of equal distance from the first stamp to the last, ``(k,)`` [s].
 
     The distance is the mean step without gaps; the median would be one of the steps, which are rounded on wall clocks.
-    If every timestamp lies on the grid, both have the same number, and samples need no interpolation.
+    If every timestamp lies on the grid, samples need no interpolation.
     """
     length, steps = time[-1] - time[0], np.diff(time)
-    usual = np.abs(steps / np.median(steps) - 1.0) < 0.5
-    count = max(1, round(length / float(np.mean(steps[usual]))))
+    without_gaps = np.abs(steps / np.median(steps) - 1.0) < 0.5
+    count = max(1, round(length / float(np.mean(steps[without_gaps]))))
     return np.asarray(time[0] + length / count * np.arange(count + 1))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks that were set back in the middle of a recording: the parts before and after are used, each by itself."""
+"""Clocks that were set back during a recording: the parts before and after the step become separate pieces."""
 
 from __future__ import annotations
 
@@ -13,33 +13,34 @@ from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.recordings.remarks import remark
 
 MAX_STEPS_BACK = 10  # of a clock that was set; with more, rows are not in order
-PAUSE_S = 1.0  # in the place of a step back; longer than any gap that is bridged
+PAUSE_S = 1.0  # replaces a step back; longer than any gap that is bridged
 
 
 def without_steps_back(
     recorded: AbstractMapping[SignalName, Series],
 ) -> tuple[dict[SignalName, Series], list[str]]:
-    """Signals on clocks that go on after a pause where they were set back, and a warning about each step.
+    """Signals with a pause of :data:`PAUSE_S` in place of every step back of the clock, and a warning about each step.
 
-    A gap of :data:`PAUSE_S` cuts a recording into pieces. The offset of the positions after a step holds for all
-    signals, so that these stay together. Clocks with other numbers of steps are left as they are.
+    The pause cuts a recording into pieces. The offset of the positions after a step is applied to all signals, which
+    keeps them synchronous. If the signals differ in the number of steps, nothing changes.
 
     Args:
         recorded: Signals of one arm, with positions.
     """
-    found = dict(recorded)
-    rows = {name: np.flatnonzero(np.diff(one.time) < 0.0) + 1 for name, one in found.items()}
-    own, time = rows["position"], recorded["position"].time
-    if not 0 < own.size <= MAX_STEPS_BACK or any(other.size != own.size for other in rows.values()):
-        return found, []
-    back = time[own - 1] - time[own] + float(np.median(np.diff(time)))  # the next sample was due a period later
-    offsets = np.append(0.0, np.cumsum(back + PAUSE_S))
-    for name, one in recorded.items():
-        part = np.searchsorted(rows[name], np.arange(one.time.size), side="right")
-        found[name] = replace(one, time=one.time + offsets[part])
-    moments = zip(back.tolist(), (found["position"].time[own - 1] - time[0]).tolist(), strict=True)
+    continued = dict(recorded)
+    rows = {name: np.flatnonzero(np.diff(series.time) < 0.0) + 1 for name, series in continued.items()}
+    step_rows, time = rows["position"], recorded["position"].time
+    if not 0 < step_rows.size <= MAX_STEPS_BACK or any(other.size != step_rows.size for other in rows.values()):
+        return continued, []
+    period = float(np.median(np.diff(time)))
+    set_back = time[step_rows - 1] - time[step_rows] + period  # expected less recorded stamp
+    offsets = np.append(0.0, np.cumsum(set_back + PAUSE_S))
+    for name, series in recorded.items():
+        piece = np.searchsorted(rows[name], np.arange(series.time.size), side="right")
+        continued[name] = replace(series, time=series.time + offsets[piece])
+    moments = zip(set_back.tolist(), (continued["position"].time[step_rows - 1] - time[0]).tolist(), strict=True)
     words = (
         "the clock was set back by {:.4g} s at t = {:.3f} s: the recording is cut there, and times after it count from "
         f"{PAUSE_S:g} s later"
     )
-    return found, [remark(words, size, at) for size, at in moments]
+    return continued, [remark(words, size, at) for size, at in moments]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CSV files, one row a line, so that no row can vanish in the cell of another."""
+"""CSV files with one row a line: no row can vanish in a quoted cell of another row."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def csv_rows(
     Raises:
         InputError: It cannot be read, or a line is not a row; the message names the line.
     """
-    every = read_lines(path)
-    lines = [(number, line) for number, line in every if line.strip() and not line.lstrip().startswith("#")]
+    all_lines = read_lines(path)
+    lines = [(number, line) for number, line in all_lines if line.strip() and not line.lstrip().startswith("#")]
     if header:
-        named = [(number, line.lstrip("# ")) for number, line in every[header - 1 : header] if line.strip("# \r")]
-        if not named:
+        names = [(number, line.lstrip("# ")) for number, line in all_lines[header - 1 : header] if line.strip("# \r")]
+        if not names:
             raise InputError(
-                f"expected the names of the columns there; the file has {len(every)} lines", file=path,
+                f"expected the names of the columns there; the file has {len(all_lines)} lines", file=path,
                 key="table.header", value=header,
             )  # fmt: skip
-        lines = named + [(number, line) for number, line in lines if number > header]
+        lines = names + [(number, line) for number, line in lines if number > header]
     if first is not None:
         lines = lines[: header != 0] + [(number, line) for number, line in lines[header != 0 :] if number >= first]
     if not lines:

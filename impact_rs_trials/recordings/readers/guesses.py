@@ -2,7 +2,7 @@
 """Detection of clocks and poses in raw numbers, each with its evidence.
 
     clock     the column that increases and gives a sampling rate of 1 Hz to 100 kHz in its unit
-    pose      a unit quaternion and three numbers, in the unit in which they fall by g or are within reach
+    pose      a unit quaternion and three numbers, in the unit in which they fall with g or are within reach
 
 Roles of the joints' streams are found by their likelihood (:mod:`hypotheses`).
 """
@@ -38,7 +38,7 @@ from impact_rs_trials.since import MIN_WALL_CLOCK_S
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
 STEP = re.compile(r"(^|[^a-z])(dt|delta_?t|delta_?time|time_?(delta|step))([^a-z]|$)", re.IGNORECASE)
-AXIS = re.compile(r"(^|[^a-z])[xyz]([^a-z]|$)", re.IGNORECASE)  # of a place, which may increase as time does
+AXIS = re.compile(r"(^|[^a-z])[xyz]([^a-z]|$)", re.IGNORECASE)  # of a position, which may increase like time
 FRAME = re.compile(r"(^|[^a-z])frames?([^a-z]|$)|frame_?(nr|no|num|number|index|id)([^a-z]|$)", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
 STAMP_UNITS = ("s", "ms", "us", "ns")
@@ -46,13 +46,13 @@ RATES_HZ = (1.0, 1e5)  # of a recording: lowest and highest
 MIN_RANGE_SHARE = 1e-3  # of a joint's range, travelled by a joint that moves; encoders and sag make less
 MAX_SHOWN_STEPS = 3  # backwards in time, in a message
 MAX_CLOCK_JITTER = 0.1  # of the usual step, within which a step is even
-MIN_EVEN_SHARE = 0.95  # of the steps of a clock, by which it is one whatever its name
+MIN_EVEN_SHARE = 0.95  # of the steps; a column with more even steps is a clock, whatever its name
 MIN_STAMPED_SHARE = 1.0 - MAX_UNSTAMPED_SHARE  # of the rows of a clock
-OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
-MIN_TURN = 0.1  # travelled by two numbers of the quaternion of a body that turns
+OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # outliers may overflow; such columns fit no hypothesis
+MIN_TURN = 0.1  # range of two numbers of the quaternion of a body that turns
 FALL_HALF_WIDTH_S = 0.04  # of second differences, in which a fall bends a track by 16 mm
-MAX_FALL_RATIO = 1.3  # ratio of the largest to the smallest of alike second differences
-MIN_FALLING_SHARE = 0.2  # of the samples; noise about 0 has at most an eighth of its samples so near to each other
+MAX_FALL_RATIO = 1.3  # of the largest to the smallest second difference of one flight
+MIN_FALLING_SHARE = 0.2  # of the samples; noise about 0 has at most an eighth of its samples within that ratio
 MAX_SCALE_ERROR = 0.05  # relative, of a ruler in a picture
 MAX_DISTANCE_M = 20.0  # of an object; a position beyond it is in millimetres
 
@@ -77,21 +77,21 @@ class Guess:
 
 
 def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
-    """The column of timestamps or of steps, with its unit, or two of seconds and nanoseconds; None: not found."""
+    """The column of timestamps or time steps with its unit, or a pair of seconds and nanoseconds; None: not found."""
     columns = {
         name: cells for name, cells in columns.items() if not (isinstance(cells, np.ndarray) and np.iscomplexobj(cells))
     }
     pair = _clock_of_two(columns)
     steps = next((guess for name, cells in columns.items() if (guess := _steps(name, cells)) is not None), None)
     for allowed in (0, MAX_STEPS_BACK):  # a clock that was set back if there is no other
-        found: list[tuple[float, str, Guess]] = []
-        for place, (name, cells) in enumerate(columns.items()):
+        candidates: list[tuple[float, str, Guess]] = []
+        for index, (name, cells) in enumerate(columns.items()):
             guess = _clock(name, cells, allowed)
             if guess is not None:
-                found.append((2.0 * bool(STAMP.search(name)) - 0.01 * place, name, guess))
-        named = any(STAMP.search(name) for _, name, _ in found)
-        if pair or (found and (named or steps is None)):
-            return pair or max(found)[2]
+                candidates.append((2.0 * bool(STAMP.search(name)) - 0.01 * index, name, guess))
+        named = any(STAMP.search(name) for _, name, _ in candidates)
+        if pair or (candidates and (named or steps is None)):
+            return pair or max(candidates)[2]
     return steps
 
 
@@ -132,25 +132,25 @@ def _is_number(cell: str) -> bool:
 
 
 def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
-    """Whole seconds that stay for many samples, and nanoseconds that begin anew with each second."""
-    whole = {name: stamps for name, cells in columns.items() if (stamps := _whole(cells)) is not None}
-    for name, rest in whole.items():
-        if not (NANOSECONDS.search(name) and rest.max() < 10**9):
+    """A pair of columns: whole seconds, and nanoseconds that begin anew with each second; None: not found."""
+    integers = {name: stamps for name, cells in columns.items() if (stamps := _integers(cells)) is not None}
+    for name, nanoseconds in integers.items():
+        if not (NANOSECONDS.search(name) and nanoseconds.max() < 10**9):
             continue
-        for other, seconds in whole.items():
+        for other, seconds in integers.items():
             if other == name or np.any(np.diff(seconds) < 0) or seconds[-1] >= 5e9:
                 continue
-            steps = np.diff(seconds * 10**9 + rest)
+            steps = np.diff(seconds * 10**9 + nanoseconds)
             usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.inf
             if np.all(steps >= 0) and RATES_HZ[0] <= 1e9 / usual <= RATES_HZ[1]:
                 evidence = f"whole seconds and nanoseconds; together they increase, at {1e9 / usual:.4g} Hz"
                 repeats = int(np.sum(steps == 0))
-                remarks = (f"{repeats} of {rest.size} stamps repeat the one before",) if repeats else ()
+                remarks = (f"{repeats} of {nanoseconds.size} stamps repeat the one before",) if repeats else ()
                 return Guess([other, name], evidence, True, {"unit": "s"}, remarks)
     return None
 
 
-def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
+def _integers(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
     """A column of non-negative integers; None: it holds other numbers."""
     try:
         numbers = np.asarray(cells, dtype=float)
@@ -162,7 +162,7 @@ def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
 
 
 def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> Guess | None:
-    """A column of timestamps that steps back ``steps_back`` times at most; None: not one, as frames or places."""
+    """A column of timestamps with at most ``steps_back`` steps back; None: no clock, e.g. frames or positions."""
     if FRAME.search(name) or (AXIS.search(name) and not STAMP.search(name)):
         return None
     if isinstance(cells, list) and cells and all(DATE.fullmatch(cell.strip()) for cell in cells):
@@ -174,23 +174,23 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> G
         stamps = numbers_of(cells)
     except (ValueError, TypeError):
         return None
-    known = np.isfinite(stamps)
-    if stamps.ndim != 1 or stamps.size < 3 or np.mean(known) < MIN_STAMPED_SHARE:
+    finite = np.isfinite(stamps)
+    if stamps.ndim != 1 or stamps.size < 3 or np.mean(finite) < MIN_STAMPED_SHARE:
         return None
-    stamps = stamps[known]
+    stamps = stamps[finite]
     steps = np.diff(stamps)
-    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
-    if usual == 0.0 or float(np.mean(np.abs(steps[steps > 0.0] / usual - 1.0) < 0.9)) < 0.5:
+    usual_step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+    if usual_step == 0.0 or float(np.mean(np.abs(steps[steps > 0.0] / usual_step - 1.0) < 0.9)) < 0.5:
         return None
-    even = float(np.mean(np.abs(steps / usual - 1.0) < MAX_CLOCK_JITTER)) > MIN_EVEN_SHARE
-    if np.count_nonzero(steps < 0.0) > steps_back * (even or bool(STAMP.search(name))):
+    is_even = float(np.mean(np.abs(steps / usual_step - 1.0) < MAX_CLOCK_JITTER)) > MIN_EVEN_SHARE
+    if np.count_nonzero(steps < 0.0) > steps_back * (is_even or bool(STAMP.search(name))):
         return None
-    units = [unit for unit in possible if _plausible(unit, stamps, usual)]
+    units = [unit for unit in possible if _plausible(unit, stamps, usual_step)]
     named = [unit for unit in units if re.search(rf"(^|[^a-z]){unit}([^a-z]|$)", name, re.IGNORECASE)]
     if not units:
         return None
     unit = (named or units)[0]
-    rate = 1.0 / (usual * UNITS["time"][unit])
+    rate = 1.0 / (usual_step * UNITS["time"][unit])
     backwards = np.count_nonzero(steps < 0.0)
     evidence = f"increases{f', {backwards} steps back aside' if backwards else ''}; in {unit} that is {rate:.4g} Hz"
     if stamps[0] * UNITS["time"][unit] > MIN_WALL_CLOCK_S:
@@ -201,38 +201,38 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any], steps_back: int) -> G
 
 
 def _steps(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
-    """A column of times since the row before, the first of which may be empty; None: not one."""
+    """A column of time steps, whose first cell may be empty; None: not found."""
     if not STEP.search(name) or np.ndim(cells) != 1 or len(cells) < 3:
         return None
     try:
         steps = np.asarray(cells[1:], dtype=float)
     except (ValueError, TypeError):
         return None
-    usual = float(np.median(steps)) if np.isfinite(steps).all() and np.all(steps >= 0.0) else 0.0
-    units = [unit for unit in STAMP_UNITS if usual > 0.0 and _plausible(unit, np.zeros(1), usual)]
+    usual_step = float(np.median(steps)) if np.isfinite(steps).all() and np.all(steps >= 0.0) else 0.0
+    units = [unit for unit in STAMP_UNITS if usual_step > 0.0 and _plausible(unit, np.zeros(1), usual_step)]
     if not units:
         return None
-    rate = 1.0 / (usual * UNITS["time"][units[0]])
-    said = f"times since the row before, by its name; in {units[0]} that is {rate:.4g} Hz"
-    return Guess(name, said, len(units) == 1, {"unit": units[0], "steps": True})
+    rate = 1.0 / (usual_step * UNITS["time"][units[0]])
+    evidence = f"times since the row before, by its name; in {units[0]} that is {rate:.4g} Hz"
+    return Guess(name, evidence, len(units) == 1, {"unit": units[0], "steps": True})
 
 
 def numbers_of(cells: Sequence[str] | NDArray[Any]) -> Array:
-    """Numbers of a column, ``(k,)``; an empty cell is not a number."""
+    """Numbers of a column, ``(k,)``; nan in an empty cell."""
     return np.asarray(cells if isinstance(cells, np.ndarray) else [cell or "nan" for cell in cells], dtype=float)
 
 
 def other_units(clock: Guess, stamps: Array) -> list[str]:
-    """Units that fit the timestamps as well as the assumed one; empty if there is evidence for the unit.
+    """Units that fit the timestamps as well as the assumed unit; empty if there is evidence for the unit.
 
     Args:
         clock: Result of :func:`clock_of`.
-        stamps: Its column, ``(k,)``.
+        stamps: Numbers of the column of that clock, ``(k,)``.
     """
     steps = np.diff(stamps)
-    usual = float(np.median(steps[steps > 0.0]))
-    others = [] if clock.sure else [unit for unit in STAMP_UNITS if unit != clock.further["unit"]]
-    return [unit for unit in others if _plausible(unit, stamps, usual)]
+    usual_step = float(np.median(steps[steps > 0.0]))
+    alternatives = [] if clock.sure else [unit for unit in STAMP_UNITS if unit != clock.further["unit"]]
+    return [unit for unit in alternatives if _plausible(unit, stamps, usual_step)]
 
 
 def _plausible(unit: str, stamps: Array, step: float) -> bool:
@@ -270,66 +270,66 @@ def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
 
 @OUTLIERS
 def are_derivatives(time: Array, values: Array, raw: Array) -> NDArray[np.bool_]:
-    """Which columns of signals ``(k, c)`` are the derivatives of the same columns of ``values``, ``(c,)``."""
-    found = AveragedMotion.of(time, values).velocity_relation(time, raw)
-    one_unit = (found.factor > SAME_UNIT_FACTORS[0]) & (found.factor < SAME_UNIT_FACTORS[1])
-    return np.asarray(one_unit & (found.correlation > MIN_CORRELATION_OF_COLUMNS))
+    """Mask of the columns of ``raw``, ``(k, c)``, that are derivatives of the same columns of ``values``, ``(c,)``."""
+    relation = AveragedMotion.of(time, values).velocity_relation(time, raw)
+    one_unit = (relation.factor > SAME_UNIT_FACTORS[0]) & (relation.factor < SAME_UNIT_FACTORS[1])
+    return np.asarray(one_unit & (relation.correlation > MIN_CORRELATION_OF_COLUMNS))
 
 
-def unit_of_length(place: Array) -> Guess:
+def unit_of_length(position: Array) -> Guess:
     """Unit of positions ``(k, 3)`` of an object near a robot."""
-    largest = float(np.nanmax(np.abs(place)))
+    largest = float(np.nanmax(np.abs(position)))
     unit = "mm" if largest > MAX_DISTANCE_M else "m"
     return Guess(unit, f"up to {largest:.3g} from the origin, which is a position near a robot in {unit}")
 
 
-def unit_of_flight(time: Array, place: Array) -> Guess:
-    """Unit of positions ``(k, 3)`` of a body without a robot: that in which it falls by g, else an assumed one.
+def unit_of_flight(time: Array, position: Array) -> Guess:
+    """Unit of positions of a body without a robot: the unit in which it falls with g, else an assumed unit.
 
     Args:
         time: Stamps, ``(k,)`` [s].
-        place: Along any axes, one of which is vertical.
+        position: Positions along any axes, one of which is vertical, ``(k, 3)``.
     """
-    seen = np.isfinite(place).all(axis=1)
-    falling = fall_in(time[seen], place[seen])
-    if falling is not None and falling[1].sure:
-        return Guess(falling[1].value, falling[1].evidence)
-    length = unit_of_length(place)
+    tracked = np.isfinite(position).all(axis=1)
+    fall = fall_in(time[tracked], position[tracked])
+    if fall is not None and fall[1].sure:
+        return Guess(fall[1].value, fall[1].evidence)
+    length = unit_of_length(position)
     return replace(length, evidence=f"nothing falls freely; {length.evidence}", sure=False)
 
 
-def fall_in(time: Array, place: Array) -> tuple[int, Guess] | None:
-    """The coordinate in free fall, with unit and factors by its acceleration; None: no coordinate falls freely.
+def fall_in(time: Array, position: Array) -> tuple[int, Guess] | None:
+    """Index of the coordinate in free fall, with unit and factors from its acceleration; None: nothing falls freely.
 
-    The second differences of a flight are alike; those of a bounce and of a ball that rests or is held are not.
+    Second differences are nearly equal in a flight, and unequal in a bounce or while a ball rests or is held.
 
     Args:
         time: Stamps, ``(k,)`` [s].
-        place: Along the image and up, or down, in any order and unit, ``(k, 2)``; or the latter alone, ``(k, 1)``.
+        position: Horizontal and vertical coordinate in any order and unit, ``(k, 2)``, or the vertical, ``(k, 1)``.
     """
     reach = max(1, round(FALL_HALF_WIDTH_S / float(np.median(np.diff(time)))))
     if len(time) < 4 * reach:
         return None
     first, last = time[reach:-reach] - time[: -2 * reach], time[2 * reach :] - time[reach:-reach]
-    slopes = [
-        (late - early) / span[:, None]
-        for early, late, span in (
-            (place[: -2 * reach], place[reach:-reach], first), (place[reach:-reach], place[2 * reach :], last)
-        )
-    ]  # fmt: skip
-    bent = 2.0 * (slopes[1] - slopes[0]) / (first + last)[:, None]
-    ways = [(*_densest(sign * bent[:, axis]), sign, axis) for axis in range(place.shape[1]) for sign in (-1.0, 1.0)]
-    share, size, sign, up = max(ways)
+    middle = position[reach:-reach]
+    slopes = (middle - position[: -2 * reach]) / first[:, None], (position[2 * reach :] - middle) / last[:, None]
+    second_differences = 2.0 * (slopes[1] - slopes[0]) / (first + last)[:, None]
+    candidates = [
+        (*_densest(sign * second_differences[:, axis]), sign, axis)
+        for axis in range(position.shape[1])
+        for sign in (-1.0, 1.0)
+    ]
+    share, size, sign, up = max(candidates)
     if share < MIN_FALLING_SHARE:
         return None
     fall = sign * size
-    unit = next((one for one, size in UNITS["length"].items() if _near(abs(fall) * size)), None)
+    unit = next((name for name, size in UNITS["length"].items() if _is_gravity(abs(fall) * size)), None)
     scale = UNITS["length"].get(unit or "", GRAVITY_M_S2 / abs(fall))
     evidence = f"it falls by {abs(fall):.4g} per s^2{' towards larger numbers' if fall > 0.0 else ''}"
     if unit is not None and fall < 0.0:
         return up, Guess(unit, f"{evidence}: {unit}")
     factor = 1.0 if unit is not None else float(f"{scale:.4g}")
-    further = {"factor": [*[factor] * (place.shape[1] - 1), -factor if fall > 0.0 else factor]}
+    further = {"factor": [*[factor] * (position.shape[1] - 1), -factor if fall > 0.0 else factor]}
     if unit is not None:
         return up, Guess(unit, f"{evidence}: {unit}", True, further)
     return up, Guess("m", f"{evidence}, which is g with this scale; a measured scale is better", False, further)
@@ -342,32 +342,32 @@ def _densest(values: Array) -> tuple[float, float]:
         return 0.0, 0.0
     ends = np.searchsorted(logs, logs + np.log(MAX_FALL_RATIO), side="right")
     first = int(np.argmax(ends - np.arange(logs.size)))
-    found = logs[first : ends[first]]
-    return found.size / values.size, float(np.exp(np.median(found)))
+    densest = logs[first : ends[first]]
+    return densest.size / values.size, float(np.exp(np.median(densest)))
 
 
-def _near(fall: float) -> bool:
-    """Whether an acceleration is that of free fall, within the error of a scale in a picture."""
+def _is_gravity(fall: float) -> bool:
+    """Whether an acceleration [m/s^2] equals g within the error of a scale in a picture."""
     return abs(fall / GRAVITY_M_S2 - 1.0) < MAX_SCALE_ERROR
 
 
 def holds_a_turn(raw: Array) -> bool:
     """Whether four neighbouring numbers of a stream ``(k, n)`` are the unit quaternion of a body that turns."""
     for first in range(raw.shape[1] - 3):
-        four = raw[:, first : first + 4]
-        if np.sum(np.ptp(four, axis=0) > MIN_TURN) > 1 and quaternion_order(four) is not None:
+        quaternion = raw[:, first : first + 4]
+        if np.sum(np.ptp(quaternion, axis=0) > MIN_TURN) > 1 and quaternion_order(quaternion) is not None:
             return True
     return False
 
 
 def quaternion_order(quaternion: Array) -> Guess | None:
     """Order of unit quaternions ``(k, 4)``; None: their length is not 1."""
-    seen = quaternion[np.isfinite(quaternion).all(axis=1)]
-    if not len(seen) or not np.all(np.abs(np.linalg.norm(seen, axis=1) - 1.0) < MAX_NORM_ERROR):
+    tracked = quaternion[np.isfinite(quaternion).all(axis=1)]
+    if not len(tracked) or not np.all(np.abs(np.linalg.norm(tracked, axis=1) - 1.0) < MAX_NORM_ERROR):
         return None
-    middle = np.abs(np.median(seen, axis=0))
+    middle = np.abs(np.median(tracked, axis=0))
     if middle[0] > 0.9 or middle[3] > 0.9:
         order = "xyzw" if middle[3] > middle[0] else "wxyz"
-        which = "last" if order == "xyzw" else "first"
-        return Guess(order, f"the {which} number of the unit quaternion is near 1, as w of a body that hardly turns")
+        word = "last" if order == "xyzw" else "first"
+        return Guess(order, f"the {word} number of the unit quaternion is near 1, as w of a body that hardly turns")
     return Guess("xyzw", "nothing shows which number of the unit quaternion is w; taken as x y z w", False)

@@ -4,7 +4,7 @@
     Rec_001/robot/q, Rec_002/robot/q        arrays {run}/robot/q of the runs Rec_001 and Rec_002
     episode_index 0 0 0 1 1 1               run_column: episode_index, of the runs 0 and 1
 
-Such a run is named as a file in a folder: ``recordings.h5/Rec_001``.
+Such a run has the name of a file in a folder: ``recordings.h5/Rec_001``.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 RUN = "{run}"
-COUNTS = re.compile(r"(^|[_.])(episode|run|trial|rollout|demo|recording)([_.]?(index|idx|id|nr|no|number))?$", re.I)
-RECORDED = re.compile(
+RUN_NUMBER = re.compile(r"(^|[_.])(episode|run|trial|rollout|demo|recording)([_.]?(index|idx|id|nr|no|number))?$", re.I)
+RECORDING_NAME = re.compile(
     r"^\d[\d_:.T-]*$|rec|run|trial|episode|demo|hit|take|toss|throw|drop|impact|exp|test|shot|sample", re.I
 )
 MIN_ROWS_OF_RUN = 20
@@ -31,9 +31,9 @@ class RunGroups:
     """Groups of a file with equally named arrays.
 
     Attributes:
-        before: Prefix of their names.
-        names: Their names.
-        recorded: Whether they have names of recordings; else they may be arms, or sensors.
+        before: Path of the groups in the file, with a slash at its end.
+        names: Names of the groups.
+        recorded: Whether the names look like recordings; if not, the groups may be arms or sensors.
     """
 
     before: str
@@ -58,13 +58,13 @@ def run_groups_of(arrays: Iterable[str]) -> RunGroups | None:
     parts = [name.split("/") for name in arrays]
     for depth in range(max(map(len, parts), default=0) - 1):
         families: dict[tuple[str, str], dict[str, set[str]]] = {}
-        for own in parts:
-            if len(own) > depth + 1:
-                family = "/".join(own[:depth]), re.sub(r"\d+", "0", own[depth])
-                families.setdefault(family, {}).setdefault(own[depth], set()).add("/".join(own[depth + 1 :]))
+        for part in parts:
+            if len(part) > depth + 1:
+                family = "/".join(part[:depth]), re.sub(r"\d+", "0", part[depth])
+                families.setdefault(family, {}).setdefault(part[depth], set()).add("/".join(part[depth + 1 :]))
         for (before, _), groups in families.items():
             if len(groups) > 1 and set.intersection(*groups.values()):
-                recorded = all(RECORDED.search(name) for name in groups)
+                recorded = all(RECORDING_NAME.search(name) for name in groups)
                 return RunGroups(f"{before}/" if before else "", tuple(groups), recorded)
     return None
 
@@ -79,10 +79,10 @@ def runs_of(cells: Sequence[str] | NDArray[Any]) -> list[str]:
 def run_column_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> str | None:
     """The column that numbers the runs of a table in consecutive rows; None: the table holds one run."""
     for name, cells in columns.items():
-        if COUNTS.search(name):
+        if RUN_NUMBER.search(name):
             runs = runs_of(cells)
-            begins = [row for row, run in enumerate(runs) if row == 0 or run != runs[row - 1]]
-            lengths = np.diff([*begins, len(runs)])
-            if len(begins) == len(set(runs)) > 1 and min(lengths) >= MIN_ROWS_OF_RUN:
+            starts = [row for row, run in enumerate(runs) if row == 0 or run != runs[row - 1]]
+            lengths = np.diff([*starts, len(runs)])
+            if len(starts) == len(set(runs)) > 1 and min(lengths) >= MIN_ROWS_OF_RUN:
                 return name
     return None

@@ -23,7 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.readers.text_file import read_text
 
 JSON_SUFFIXES = (".json", ".jsonl")
-MIN_JSON_ROWS = 3  # fewer are a description, as the limits of a joint
+MIN_JSON_ROWS = 3  # a shorter list is a description, for example the limits of a joint
 MAX_SHOWN_NAMES = 8  # values in a message
 EXPECTED = (
     "expected a list of records with a value of each signal, an object with a list of values for each signal, or one "
@@ -40,50 +40,52 @@ def read_json_table(path: Path) -> tuple[dict[str, list[str] | NDArray[Any]], tu
     text = read_text(path)
     try:
         try:
-            found = json.loads(text)
+            content = json.loads(text)
         except json.JSONDecodeError as error:
             if error.msg != "Extra data":
                 raise
-            found = [json.loads(line) for line in text.splitlines() if line.strip()]
+            content = [json.loads(line) for line in text.splitlines() if line.strip()]
     except (ValueError, RecursionError) as error:
         raise InputError(f"not a readable JSON file ({str(error).splitlines()[0]})", file=path) from None
-    tables = list(_tables("", found))
+    tables = list(_tables("", content))
     if len(tables) != 1:
-        listed = f"; tables: {', '.join(where for where, _ in tables[:MAX_SHOWN_NAMES])}" if tables else ""
+        listed = (
+            f"; tables: {', '.join(path_in_file for path_in_file, _ in tables[:MAX_SHOWN_NAMES])}" if tables else ""
+        )
         raise InputError(f"{'several tables' if tables else 'no table'} in it, {EXPECTED}{listed}", file=path)
-    [(where, columns)] = tables
-    inside = {where.removesuffix(".")} if isinstance(found, dict) and where else set()
-    inside |= {f"{where}{name}" for name in columns}
-    outside = [name for name, _ in _flat("", found) if name not in inside]
+    [(path_in_file, columns)] = tables
+    inside = {path_in_file.removesuffix(".")} if isinstance(content, dict) and path_in_file else set()
+    inside |= {f"{path_in_file}{name}" for name in columns}
+    outside = [name for name, _ in _flat("", content) if name not in inside]
     listed = ", ".join(outside[:MAX_SHOWN_NAMES]) + (" ..." if len(outside) > MAX_SHOWN_NAMES else "")
     remarks = (f"{path.name}: not part of its table, and not read: {listed}",) if outside else ()
-    return {name: _cells(own) for name, own in columns.items()}, remarks
+    return {name: _cells(column) for name, column in columns.items()}, remarks
 
 
-def _tables(where: str, value: Any) -> list[tuple[str, dict[str, Sequence[Any]]]]:
-    """Tables in a value, with the path of each, which ends with a dot; empty: the value itself."""
+def _tables(prefix: str, value: Any) -> list[tuple[str, dict[str, Sequence[Any]]]]:
+    """Tables in a JSON value, each with its path, which ends with a dot; an empty path is the value itself."""
     if isinstance(value, list):
         if len(value) < MIN_JSON_ROWS or not all(isinstance(row, dict) for row in value):
             return []
         rows = [dict(_flat("", row)) for row in value]
         names = dict.fromkeys(name for row in rows for name in row)
-        return [(where, {name: [row.get(name) for row in rows] for name in names})]
+        return [(prefix, {name: [row.get(name) for row in rows] for name in names})]
     if not isinstance(value, dict):
         return []
-    lists = {name: own for name, own in value.items() if isinstance(own, list) and len(own) >= MIN_JSON_ROWS}
-    lists = {name: own for name, own in lists.items() if not any(isinstance(one, dict) for one in own)}
+    lists = {name: items for name, items in value.items() if isinstance(items, list) and len(items) >= MIN_JSON_ROWS}
+    lists = {name: items for name, items in lists.items() if not any(isinstance(item, dict) for item in items)}
     longest = max(map(len, lists.values()), default=0)
-    columns: dict[str, Sequence[Any]] = {name: own for name, own in lists.items() if len(own) == longest}
+    columns: dict[str, Sequence[Any]] = {name: items for name, items in lists.items() if len(items) == longest}
     if len(columns) > 1:
-        return [(where, columns)]
-    return [table for name, own in value.items() for table in _tables(f"{where}{name}.", own)]
+        return [(prefix, columns)]
+    return [table for name, items in value.items() for table in _tables(f"{prefix}{name}.", items)]
 
 
-def _flat(where: str, value: Any) -> list[tuple[str, Any]]:
-    """Values of an object by their path."""
+def _flat(prefix: str, value: Any) -> list[tuple[str, Any]]:
+    """Paths and values of the members of a JSON object, at all depths."""
     if not isinstance(value, dict):
-        return [(where.removesuffix("."), value)] if where else []
-    return [item for name, own in value.items() for item in _flat(f"{where}{name}.", own)]
+        return [(prefix.removesuffix("."), value)] if prefix else []
+    return [item for name, inner in value.items() for item in _flat(f"{prefix}{name}.", inner)]
 
 
 def _cells(column: Sequence[Any]) -> list[str] | NDArray[Any]:
@@ -98,5 +100,5 @@ def cell_text(cell: Any) -> str:
     if cell is None:
         return ""
     if isinstance(cell, list):
-        return " ".join("nan" if one is None else cell_text(one) for one in cell)
+        return " ".join("nan" if item is None else cell_text(item) for item in cell)
     return str(int(cell)) if isinstance(cell, bool) else str(cell)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data sets of LeRobot (versions 2 and 3): ``meta/info.json`` beside the Parquet files of ``data/``.
+"""Data sets of LeRobot (versions 2 and 3): Parquet files in ``data/``, described by ``meta/info.json``.
 
-It names the numbers of every vector, in the order of the joints, and the frame rate; the timestamp of a frame is its
-number over that rate.
+The description has the names of the numbers of every vector, in the order of the joints, and the frame rate f. Frame k
+has the timestamp k / f.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Any
 
 INFO = Path("meta/info.json")
-MEASURED, DESIRED = "observation.state", "action"  # positions of the joints, and those that were commanded
+MEASURED, DESIRED = "observation.state", "action"  # measured and commanded joint positions
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """What ``meta/info.json`` says of a data set.
+    """Description of a data set by ``meta/info.json``.
 
     Attributes:
-        root: Its folder.
+        root: Folder of the data set.
         fps: Frames per second; None: not a number.
         names: Names of the numbers of each vector, by column.
     """
@@ -33,7 +33,7 @@ class DataSet:
 
 
 def data_set_of(path: Path) -> DataSet | None:
-    """The data set that a file or folder belongs to; None: it belongs to none, or its description cannot be read."""
+    """Data set to which a file or folder belongs; None: no data set, or a description that cannot be read."""
     for root in (path, *path.parents[:4]):  # data/chunk-000/episode_000000.parquet
         file = root / INFO
         if file.is_file():
@@ -45,7 +45,7 @@ def _described(root: Path, file: Path) -> DataSet | None:
     try:
         info = json.loads(file.read_text(encoding="utf-8"))
         features: dict[str, Any] = info["features"]
-        names = {name: tuple(_flat(one.get("names"))) for name, one in features.items()}
+        names = {name: tuple(_flat(feature.get("names"))) for name, feature in features.items()}
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
     fps = info.get("fps")
@@ -53,10 +53,10 @@ def _described(root: Path, file: Path) -> DataSet | None:
 
 
 def _flat(names: Any) -> list[str]:
-    """Names of a vector: a list of texts, one in another list, or in a dictionary (``{"motors": [...]}``)."""
+    """Names of the numbers of a vector: from a list of texts, a list of lists, or a dictionary of lists."""
     if isinstance(names, dict):
         names = list(names.values())
     if not isinstance(names, list):
         return []
-    inner = [one for part in names for one in (part if isinstance(part, list) else [part])]
-    return inner if all(isinstance(one, str) for one in inner) else []
+    inner = [name for part in names for name in (part if isinstance(part, list) else [part])]
+    return inner if all(isinstance(name, str) for name in inner) else []

@@ -2,9 +2,9 @@
 """MAT files of level 5 (MATLAB 5 to 7.2, ``save -v7``, SciPy): arrays of real numbers, alone and in structures.
 
 A file is a header of 128 bytes and data elements; an element is a tag, type and number of bytes, and its data, padded
-to 8 bytes. Small ones have both in one tag. A matrix is an element of elements: flags with its class, dimensions, name,
-and numbers, column by column (MathWorks, MAT-File Format). Everything is checked against the bytes that are there:
-SciPy's reader, which reads more kinds of files, ends the process at some damaged ones.
+to 8 bytes. A small element has its data in the tag. A matrix is an element of elements: flags with its class,
+dimensions, name, and numbers, column by column (MathWorks, MAT-File Format). All sizes are checked against the bytes of
+the file: SciPy's reader, which reads more kinds of files, ends the process at some damaged files.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class _Damaged(Exception):
 
 
 def read_mat(path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays by name; those in structures as ``structure/field``. What holds no real numbers is left out.
+    """Arrays of real numbers by name; fields of structures as ``structure/field``. Other contents are left out.
 
     Raises:
         InputError: It is no such file.
@@ -49,10 +49,10 @@ def read_mat(path: Path) -> dict[str, NDArray[Any]]:
         for kind, body in _elements(memoryview(data)[HEADER_BYTES:], order):
             if kind == COMPRESSED:
                 unpack = zlib.decompressobj()
-                whole = unpack.decompress(bytes(body), MAX_ELEMENT_BYTES)
+                unpacked = unpack.decompress(bytes(body), MAX_ELEMENT_BYTES)
                 if not unpack.eof:
                     raise _Damaged("a compressed element goes on beyond its end")
-                kind, body = next(_elements(memoryview(whole), order))
+                kind, body = next(_elements(memoryview(unpacked), order))
             if kind == MATRIX:
                 for name, array in _matrix(body, order, "", MAX_NESTED_STRUCTURES):
                     if name in arrays:
@@ -64,23 +64,23 @@ def read_mat(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Type and data of elements that stand behind each other."""
-    place = 0
-    while place < len(data):
-        if place + 8 > len(data):
+    """Type and data of consecutive elements."""
+    position = 0
+    while position < len(data):
+        if position + 8 > len(data):
             raise _Damaged("the file ends within a tag")
-        kind, size = struct.unpack_from(f"{order}II", data, place)
+        kind, size = struct.unpack_from(f"{order}II", data, position)
         if kind >> 16:  # a small element: size and type share four bytes
-            kind, size, start, end = kind & 0xFFFF, kind >> 16, place + 4, place + 8
+            kind, size, start, end = kind & 0xFFFF, kind >> 16, position + 4, position + 8
             if size > 4:
                 raise _Damaged(f"a small element of {size} bytes")
         else:
-            start = place + 8
+            start = position + 8
             end = start + size + (-size % 8 if kind != COMPRESSED else 0)
         if start + size > len(data):
             raise _Damaged("the file ends within an element")
         yield kind, data[start : start + size]
-        place = end
+        position = end
 
 
 def _matrix(body: memoryview, order: str, name: str, depth: int) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -91,9 +91,9 @@ def _matrix(body: memoryview, order: str, name: str, depth: int) -> Iterator[tup
             raise _Damaged("a matrix without flags, dimensions and name")
         return
     (flags,) = struct.unpack_from(f"{order}I", parts[0][1])
-    kind, shape = flags & 0xFF, tuple(int(one) for one in _numbers(*parts[1], order))
+    kind, shape = flags & 0xFF, tuple(int(length) for length in _numbers(*parts[1], order))
     name = name or bytes(parts[2][1]).decode("ascii")
-    if any(one < 0 for one in shape):
+    if any(length < 0 for length in shape):
         raise _Damaged(f"array {name!r} has the dimensions {shape}")
     if kind in STORED and not flags >> 8 & COMPLEX_FLAG:
         if len(parts) != 4:
@@ -107,10 +107,10 @@ def _matrix(body: memoryview, order: str, name: str, depth: int) -> Iterator[tup
         inner = parts[3:] if kind == CELL else parts[5:]
         if len(inner) != len(fields):
             raise _Damaged(f"{name!r} has {len(inner)} fields, expected {len(fields)}")
-        for field, (sort, own) in zip(fields, inner, strict=True):
-            if sort != MATRIX:
+        for field, (field_kind, field_body) in zip(fields, inner, strict=True):
+            if field_kind != MATRIX:
                 raise _Damaged(f"field {field!r} is no matrix")
-            yield from _matrix(own, order, field, depth - 1)
+            yield from _matrix(field_body, order, field, depth - 1)
 
 
 def _fields(parts: list[tuple[int, memoryview]], order: str) -> list[str]:

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """MCAP files without ROS: channels of JSON and Protobuf messages, as Foxglove's libraries write them.
 
-Messages get the form that those of ROS have, so that topics and fields are named alike (:mod:`bag_file`):
+Messages get the form of ROS messages, so that :mod:`bag_file` finds topics and fields by equal names:
 
     {"timestamp": {"sec": 1, "nsec": 0}, ...}       header.stamp
     {"position": [0.1, 0.2]}                        position, an array of numbers
-    {"q1": 0.1, "q2": 0.2}                          q, numbers of the same name but for a count from 0 or 1
+    {"q1": 0.1, "q2": 0.2}                          q, numbers whose names differ in a count from 0 or 1
     {"position": {"hip": 0.1, "knee": 0.2}}         position, and name, the joints
     {"joints": [{"name": "hip", "position": 0.1}]}  joints.position and joints.name (foxglove.JointStates)
 
-Booleans, texts and lists of other values stay as they are. ``null`` is not a number. Channels in CDR, which a library
-other than ros2 bag wrote, are read as those of a bag.
+Booleans, texts and lists of other values do not change. ``null`` becomes nan. Channels in CDR, written by a library
+other than ros2 bag, are read like topics of a bag.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ COUNTED = re.compile(r"^(\D*)(\d+)(\D*)$")
 
 
 def is_without_ros(path: Path) -> bool:
-    """Whether a path is an MCAP file that ROS 2 did not record; a damaged one is not."""
+    """Whether a path is a readable MCAP file that ROS 2 did not record."""
     if suffix_of(path) != ".mcap" or not path.is_file():
         return False
     try:
@@ -91,29 +91,29 @@ class McapMessages:
         return {connection.topic: connection for connection in self.connections}
 
     def messages(self, connections: Collection[Connection] = ()) -> Iterator[tuple[Connection, int, Any]]:
-        """Topic, log time [ns] and message, by log time: decoded, or the bytes of one in CDR.
+        """Topic, log time [ns] and message in the order of log times; a message is decoded, or bytes if it is in CDR.
 
         Args:
-            connections: Topics to read; none: all.
+            connections: Topics to read; empty: all.
 
         Raises:
-            InputError: A message is not what its encoding says.
-            MissingPackage: That which decodes Protobuf is not installed.
+            InputError: A message cannot be decoded.
+            MissingPackage: The decoder of Protobuf is not installed.
         """
-        own = {connection.id: connection for connection in connections or self.connections}
-        topics = [connection.topic for connection in own.values()]
+        by_id = {connection.id: connection for connection in connections or self.connections}
+        topics = [connection.topic for connection in by_id.values()]
         decoders: dict[int, Callable[[bytes], Any]] = {}
         for schema, channel, message in self._reader.iter_messages(topics=topics):
-            if channel.id not in own:
+            if channel.id not in by_id:
                 continue
             if channel.id not in decoders:
                 decoders[channel.id] = self._decoder(channel, schema)
             try:
-                found = decoders[channel.id](message.data)
+                content = decoders[channel.id](message.data)
             except Exception as error:  # a damaged message can fail anywhere inside a library
                 text = f"{channel.topic}: a message is not {channel.message_encoding} ({type(error).__name__}: {error})"
                 raise InputError(text, file=self._path) from None
-            yield own[channel.id], message.log_time, found
+            yield by_id[channel.id], message.log_time, content
 
     @cached_property
     def _reader(self) -> McapReader:
@@ -166,35 +166,35 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "DESCRIPTOR"):
         return {field.name: _plain(getattr(value, field.name)) for field in value.DESCRIPTOR.fields}
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (str, bytes, int, float)):
         return value
-    return [_plain(one) for one in value]
+    return [_plain(item) for item in value]
 
 
 def as_message(content: Any, kind: str) -> Any:
-    """A decoded message in the form of one of ROS.
+    """A decoded message in the form of a ROS message.
 
     Args:
-        content: Its content: a dictionary, or numbers alone, whose field is then ``data``.
-        kind: Name of its type.
+        content: Content of the message: a dictionary, or numbers alone, which get the field ``data``.
+        kind: Name of the message type.
     """
-    found = _with_fields(content if isinstance(content, Mapping) else {"data": content})
-    found.__msgtype__ = kind
-    if not hasattr(found, "header"):
-        stamp = next((one for one in map(_stamp, vars(found).values()) if one is not None), None)
+    message = _with_fields(content if isinstance(content, Mapping) else {"data": content})
+    message.__msgtype__ = kind
+    if not hasattr(message, "header"):
+        stamp = next((time for time in map(_stamp, vars(message).values()) if time is not None), None)
         if stamp is not None:
-            found.header = SimpleNamespace(stamp=stamp, __msgtype__="header")
-    elif hasattr(found.header, "stamp"):
-        found.header.stamp = _stamp(found.header.stamp) or found.header.stamp
-    return found
+            message.header = SimpleNamespace(stamp=stamp, __msgtype__="header")
+    elif hasattr(message.header, "stamp"):
+        message.header.stamp = _stamp(message.header.stamp) or message.header.stamp
+    return message
 
 
 def _stamp(value: Any) -> SimpleNamespace | None:
-    """A time of seconds and nanoseconds under the names of ROS; None: it is no time."""
-    for second, rest in STAMPS:
-        if hasattr(value, second) and hasattr(value, rest):
-            return SimpleNamespace(sec=getattr(value, second), nanosec=getattr(value, rest))
+    """A ROS stamp from seconds and nanoseconds under other names; None: the value is no time."""
+    for seconds, nanoseconds in STAMPS:
+        if hasattr(value, seconds) and hasattr(value, nanoseconds):
+            return SimpleNamespace(sec=getattr(value, seconds), nanosec=getattr(value, nanoseconds))
     return None
 
 
@@ -218,8 +218,8 @@ def _field(value: Any) -> Any:
         return value
     if all(map(_is_number, value)):
         return _numbers(value)
-    if all(isinstance(one, Mapping) for one in value) and len({tuple(one) for one in value}) == 1:
-        return _with_fields({key: [one[key] for one in value] for key in value[0]})
+    if all(isinstance(item, Mapping) for item in value) and len({tuple(item) for item in value}) == 1:
+        return _with_fields({key: [item[key] for item in value] for key in value[0]})
     return value
 
 
@@ -231,17 +231,19 @@ def _by_joint(value: Any) -> bool:
 
 
 def _counted(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers whose names differ in a count from 0 or 1 alone, as one array of the name without it."""
+    """Arrays of numbers whose names differ only in a count from 0 or 1, by the name without the count."""
     groups: dict[str, dict[int, Any]] = {}
     for key, value in content.items():
-        found = COUNTED.match(key)
-        if found and _is_number(value):
-            name = re.sub("__+", "_", found[1] + found[3]).strip("_")
-            groups.setdefault(name, {})[int(found[2])] = value
+        match = COUNTED.match(key)
+        if match and _is_number(value):
+            name = re.sub("__+", "_", match[1] + match[3]).strip("_")
+            groups.setdefault(name, {})[int(match[2])] = value
     return {
-        name: _numbers([own[number] for number in sorted(own)])
-        for name, own in groups.items()
-        if name and len(own) > 1 and sorted(own) in (list(range(len(own))), list(range(1, len(own) + 1)))
+        name: _numbers([by_number[number] for number in sorted(by_number)])
+        for name, by_number in groups.items()
+        if name
+        and len(by_number) > 1
+        and sorted(by_number) in (list(range(len(by_number))), list(range(1, len(by_number) + 1)))
     }
 
 

@@ -4,8 +4,8 @@
     with files_read_once():
         ...   # candidates, raw numbers, and the run as its mapping describes it
 
-Functions under :func:`once` then keep their results, the newest up to a size, as long as a file keeps its size and the
-time of its last change. Callers must not change the returned values.
+Functions under :func:`once` then keep their newest results, up to a total size of their files, as long as a file does
+not change its size or modification time. Callers must not change the returned values.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 P = ParamSpec("P")
 T = TypeVar("T")
 
-MAX_KEPT_BYTES = 200_000_000  # sizes of the files; numbers of a text take a few times as much memory
+MAX_CACHED_BYTES = 200_000_000  # sizes of the files; numbers of a text take a few times as much memory
 
-_kept: ContextVar[dict[tuple[Any, ...], tuple[int, Any]] | None] = ContextVar("_kept", default=None)
+_cache: ContextVar[dict[tuple[Any, ...], tuple[int, Any]] | None] = ContextVar("_cache", default=None)
 
 
 @contextmanager
 def files_read_once() -> Iterator[None]:
     """Keep read files until the end of the block."""
-    token = _kept.set({})
+    token = _cache.set({})
     try:
         yield
     finally:
-        _kept.reset(token)
+        _cache.reset(token)
 
 
 def once(read: Callable[Concatenate[Path, P], T]) -> Callable[Concatenate[Path, P], T]:
@@ -40,16 +40,16 @@ def once(read: Callable[Concatenate[Path, P], T]) -> Callable[Concatenate[Path, 
 
     @functools.wraps(read)
     def reading(path: Path, *args: P.args, **options: P.kwargs) -> T:
-        kept = _kept.get()
-        if kept is None or not path.exists():
+        cache = _cache.get()
+        if cache is None or not path.exists():
             return read(path, *args, **options)
         state = path.stat()
         key = (read.__module__, read.__name__, path, state.st_mtime_ns, state.st_size, repr(args), repr(options))
-        if key not in kept:
-            kept[key] = (state.st_size, read(path, *args, **options))
-            while len(kept) > 1 and sum(size for size, _ in kept.values()) > MAX_KEPT_BYTES:
-                del kept[next(iter(kept))]
-        found: T = kept[key][1]
-        return found
+        if key not in cache:
+            cache[key] = (state.st_size, read(path, *args, **options))
+            while len(cache) > 1 and sum(size for size, _ in cache.values()) > MAX_CACHED_BYTES:
+                del cache[next(iter(cache))]
+        result: T = cache[key][1]
+        return result
 
     return reading

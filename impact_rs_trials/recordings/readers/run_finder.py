@@ -31,10 +31,10 @@ from impact_rs_trials.recordings.readers.text_file import suffix_of
 
 ROS1_SUFFIX = ".bag"
 BAG_SUFFIXES = (".db3", ".mcap", ROS1_SUFFIX)
-# Of tables that are read where they are named, or where a folder has no others: it may have notes.
+# Endings of tables that may also be notes: read if they are named, or if a folder has no other recordings.
 NOTE_SUFFIXES = (".txt", ".dat", *JSON_SUFFIXES)
 TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npy", *NOTE_SUFFIXES)
-TORCH_SUFFIX = ".pt"  # as notes: in a folder it may hold the weights of a network
+TORCH_SUFFIX = ".pt"  # like notes: the file may hold the weights of a network
 ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat", TORCH_SUFFIX)
 FILE_SUFFIXES = (*BAG_SUFFIXES, *TABLE_SUFFIXES, *ARRAY_SUFFIXES)
 SEARCHED_SUFFIXES = tuple(suffix for suffix in FILE_SUFFIXES if suffix not in (*NOTE_SUFFIXES, TORCH_SUFFIX))
@@ -58,17 +58,17 @@ def name_of(path: Path) -> str:
 
 
 def unique_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
-    """The names; in place of those that repeat the paths from their common folder on, as ``day_1/log.csv``.
+    """Names of recordings; repeated names become paths from their common folder, for example ``day_1/log.csv``.
 
     Args:
-        names: Of some recordings.
-        paths: Of the same recordings.
+        names: Names of the recordings.
+        paths: Paths of the recordings.
     """
-    places: dict[str, list[Path]] = {}
+    folders: dict[str, list[Path]] = {}
     for name, path in zip(names, paths, strict=True):
-        places.setdefault(name, []).append(path.parent)
+        folders.setdefault(name, []).append(path.parent)
     return [
-        name if len(places[name]) == 1 else path.relative_to(os.path.commonpath(places[name])).as_posix()
+        name if len(folders[name]) == 1 else path.relative_to(os.path.commonpath(folders[name])).as_posix()
         for name, path in zip(names, paths, strict=True)
     ]
 
@@ -80,34 +80,34 @@ def find_recordings(path: Path, notes: bool = False) -> list[Path]:
 
     Args:
         path: File or folder.
-        notes: Whether texts are recordings, too, where a folder has no others.
+        notes: Whether texts are recordings, too, if a folder has no other recordings.
 
     Raises:
-        InputError: There is nothing here that can be read.
+        InputError: No recording is found.
     """
     if path.is_file():
         if suffix_of(path) not in FILE_SUFFIXES:
-            known = ", ".join(FILE_SUFFIXES)
-            raise InputError(f"expected a recording ({known}), or a folder of them; spreadsheets as .csv", file=path)
+            suffixes = ", ".join(FILE_SUFFIXES)
+            raise InputError(f"expected a recording ({suffixes}), or a folder of them; spreadsheets as .csv", file=path)
         return [path]
     if not path.is_dir():
         raise InputError("no such file or folder", file=path)
     if is_bag_folder(path):
         return [path]
     bags = {file.parent for file in path.rglob(BAG_METADATA)}
-    described = {file.parent for file in path.rglob(str(INFO))}
+    data_sets = {file.parent for file in path.rglob(str(INFO))}
     files = {
         file
         for file in path.rglob("*")
         if suffix_of(file) in FILE_SUFFIXES and file.name != RUN_TABLE and file.parent not in bags and file.is_file()
-        if described.isdisjoint(file.parents)
+        if data_sets.isdisjoint(file.parents)
     }
-    searched = {file for file in files if suffix_of(file) in SEARCHED_SUFFIXES}
-    found = bags | (searched if searched or bags or not notes else files)
-    if not found:
+    searched_files = {file for file in files if suffix_of(file) in SEARCHED_SUFFIXES}
+    recordings = bags | (searched_files if searched_files or bags or not notes else files)
+    if not recordings:
         expected = f"{', '.join(FILE_SUFFIXES if notes else SEARCHED_SUFFIXES)} or the folder of a bag"
         raise InputError(f"no recording here; expected {expected}", file=path)
-    return sorted(found)
+    return sorted(recordings)
 
 
 def find_runs(path: Path, mapping: Mapping) -> list[Path]:
@@ -122,17 +122,17 @@ def find_runs(path: Path, mapping: Mapping) -> list[Path]:
     """
     patterns = _file_patterns(mapping)
     if path.is_dir() and None not in patterns:
-        found = _spread_below(path, mapping) if mapping.spread else _run_folders(path, mapping)
-        if not found:
+        runs = _spread_below(path, mapping) if mapping.spread else _run_folders(path, mapping)
+        if not runs:
             files = ", ".join(sorted(map(str, patterns)))
             raise InputError(
                 f"no run here has the files that signals.NAME.file of the mapping names: {files}", file=path
             )
-        return found
+        return runs
     if mapping.spread and path.parent.is_dir() and not path.exists():
-        if path not in (beside := _spread_runs(path.parent, mapping)):
-            listed = ", ".join(run.name for run in beside) or "none"
-            raise InputError(f"no run of this name; those that signals.NAME.file finds here: {listed}", file=path)
+        if path not in (neighbours := _spread_runs(path.parent, mapping)):
+            names = ", ".join(run.name for run in neighbours) or "none"
+            raise InputError(f"no run of this name; runs that signals.NAME.file finds here: {names}", file=path)
         return [path]
     if not mapping.holds_runs:
         return find_recordings(path, notes=True)
@@ -145,8 +145,8 @@ def find_run(folder: Path, name: str, mappings: Sequence[Mapping]) -> Path:
 
     Args:
         folder: Folder of the recordings.
-        name: Its name or path, relative to the folder.
-        mappings: Of all arms.
+        name: Name or path of the run, relative to the folder.
+        mappings: Mappings of all arms.
 
     Raises:
         InputError: No run or several runs have this name.
@@ -159,21 +159,21 @@ def find_run(folder: Path, name: str, mappings: Sequence[Mapping]) -> Path:
         if path in runs:
             return path
         files = ", ".join(sorted({str(file) for mapping in mappings for file in _file_patterns(mapping)}))
-        near = did_you_mean(path.name, [run.name for run in runs])
-        raise InputError(f"no such run among the files {files} in {path.parent}{near}")
+        suggestion = did_you_mean(path.name, [run.name for run in runs])
+        raise InputError(f"no such run among the files {files} in {path.parent}{suggestion}")
     try:
         if path.exists() or path.parent.is_file() and any(mapping.holds_runs for mapping in mappings):
             return path
     except (OSError, ValueError):  # a name that no file can have
         raise InputError("expected the name of a recording") from None
-    beside = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
-    found = [file for file in beside if file.name != name_of(file) == path.name]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise InputError(f"{', '.join(file.name for file in found)} are all there; name one of them")
-    others = [item.name for item in beside] + [item.stem for item in beside]
-    raise InputError(f"no such recording in {path.parent}{did_you_mean(path.name, others)}")
+    neighbours = sorted(path.parent.iterdir()) if path.parent.is_dir() else []
+    matches = [file for file in neighbours if file.name != name_of(file) == path.name]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        raise InputError(f"{', '.join(file.name for file in matches)} are all there; name one of them")
+    names = [item.name for item in neighbours] + [item.stem for item in neighbours]
+    raise InputError(f"no such recording in {path.parent}{did_you_mean(path.name, names)}")
 
 
 def _file_patterns(mapping: Mapping) -> set[str | None]:
@@ -182,9 +182,9 @@ def _file_patterns(mapping: Mapping) -> set[str | None]:
 
 
 def _spread_below(folder: Path, mapping: Mapping) -> list[Path]:
-    """Runs of :func:`_spread_runs` in a folder, and in those below it, each a session."""
-    below = sorted((one for one in folder.rglob("*") if one.is_dir()), key=natural_key)
-    return [run for place in (folder, *below) for run in _spread_runs(place, mapping)]
+    """Runs of :func:`_spread_runs` in a folder and its subfolders; each folder is a session."""
+    below = sorted((subfolder for subfolder in folder.rglob("*") if subfolder.is_dir()), key=natural_key)
+    return [run for session in (folder, *below) for run in _spread_runs(session, mapping)]
 
 
 def _spread_runs(folder: Path, mapping: Mapping) -> list[Path]:
@@ -194,37 +194,37 @@ def _spread_runs(folder: Path, mapping: Mapping) -> list[Path]:
         expression = re.escape(pattern)
         for part in PLACEHOLDERS:
             expression = _with_group(expression, re.escape(f"{{{part}}}"), part)
-        runs |= {found["run"] for file in folder.iterdir() if (found := re.fullmatch(expression, file.name))}
+        runs |= {match["run"] for file in folder.iterdir() if (match := re.fullmatch(expression, file.name))}
     return [folder / run for run in sorted(runs, key=natural_key)]
 
 
 def _run_folders(folder: Path, mapping: Mapping) -> list[Path]:
-    """Folders of one run each, with the files that the signals of a mapping lie in: this folder, or those below."""
+    """Folders of one run each, which have all files of the mapping: this folder, or folders below it."""
     files = sorted(filter(None, _file_patterns(mapping)))
-    found = {place.parent for place in folder.rglob(Path(files[0]).name)}
-    return sorted((one for one in found if all((one / file).is_file() for file in files)), key=natural_key)
+    folders = {file_path.parent for file_path in folder.rglob(Path(files[0]).name)}
+    return sorted((run for run in folders if all((run / file).is_file() for file in files)), key=natural_key)
 
 
 def _runs_inside(file: Path, mapping: Mapping) -> list[Path]:
     """Runs inside a file (:mod:`inner_runs`), each named as a file in a folder; the file itself if it is one run."""
     if mapping.run_column is not None and suffix_of(file) in TABLE_SUFFIXES:
-        named = dict.fromkeys(run_names(file, mapping.table, mapping.run_column))
-        if strange := [run for run in named if "/" in run or run in ("", ".", "..")]:
+        runs = dict.fromkeys(run_names(file, mapping.table, mapping.run_column))
+        if unusable := [run for run in runs if "/" in run or run in ("", ".", "..")]:
             message = "expected the name of a run in every row, without /"
-            raise InputError(message, file=file, key=f"column {mapping.run_column}", value=strange[0])
-        return [file / run for run in named]
+            raise InputError(message, file=file, key=f"column {mapping.run_column}", value=unusable[0])
+        return [file / run for run in runs]
     arrays = {source.array for source in mapping.signals.values() if source.array is not None and RUN in source.array}
     if not arrays or suffix_of(file) not in ARRAY_SUFFIXES:
         return [file]
-    found: set[str] = set()
+    runs_found: set[str] = set()
     names = ArrayFile.names_of(file)
     for array in arrays:
         expression = _with_group(re.escape(array.strip("/")), re.escape(RUN), "run")
-        found |= {match["run"] for name in names if (match := re.fullmatch(expression, name))}
-    return [file / run for run in sorted(found, key=natural_key)] if found - {file.stem} else [file]
+        runs_found |= {match["run"] for name in names if (match := re.fullmatch(expression, name))}
+    return [file / run for run in sorted(runs_found, key=natural_key)] if runs_found - {file.stem} else [file]
 
 
 def _with_group(expression: str, placeholder: str, name: str) -> str:
-    """A regular expression with a placeholder as a group of any text without a slash, equal at all positions."""
+    """A regular expression with a placeholder as a named group: text without a slash, equal at all positions."""
     once = expression.replace(placeholder, f"(?P<{name}>[^/]+)", 1)
     return once.replace(placeholder, f"(?P={name})")

@@ -44,14 +44,14 @@ def read_series(
     needed: Collection[SignalName],
     names: Names | None = None,
 ) -> dict[SignalName, Series]:
-    """Signals of one run at the timestamps of its files; without a velocity in the mapping: the position's derivative.
+    """Signals of one run at the timestamps of its files; velocity not in the mapping: derivative of position.
 
     Args:
         path: A file, or a run inside of it; the folder of a bag; or, if the mapping names files, their folder, or
             the name of a run next to them.
         mapping: Where the signals are.
         wanted: Signals to read, as far as the mapping has them.
-        needed: The required ones among them.
+        needed: Required signals.
         names: Values of the placeholders of the mapping; None: the run's name alone.
 
     Raises:
@@ -63,12 +63,12 @@ def read_series(
     files: dict[Path, list[SignalName]] = {}
     for name, source in sources.items():
         files.setdefault(_file_of(path, source, names), []).append(name)
-    found: dict[SignalName, Series] = {}
-    for file, inside in files.items():
-        if not file.exists() and not set(needed) & set(inside):
+    read: dict[SignalName, Series] = {}
+    for file, signals in files.items():
+        if not file.exists() and not set(needed) & set(signals):
             continue
-        opened = open_file(file, mapping, names, tuple(inside))
-        for name in inside:
+        opened = open_file(file, mapping, names, tuple(signals))
+        for name in signals:
             try:
                 series = opened.series(name, sources[name])
             except MissingSignal as missing:
@@ -78,19 +78,21 @@ def read_series(
             if series.time.size == 0 and name in needed:
                 raise InputError(f"{series.label} has no sample", file=file)
             if series.time.size:
-                found[name] = series.without_repeats() if mapping.time.repeated == "keep_first" else series
-    if "velocity" in wanted and "velocity" not in sources and "position" in found:
-        found["velocity"] = found["position"].derivative()
-    return found
+                read[name] = series.without_repeats() if mapping.time.repeated == "keep_first" else series
+    if "velocity" in wanted and "velocity" not in sources and "position" in read:
+        read["velocity"] = read["position"].derivative()
+    return read
 
 
 def _check_is_read(path: Path, mapping: Mapping, names: Names) -> None:
-    """Refuse a file beside those that a mapping names, which would be read in its place."""
-    read = {_file_of(path, source, names).name for source in mapping.signals.values()} if path.is_file() else set()
-    if read and path.name not in read:
+    """Refuse a file that the mapping does not name: the named files next to it would be read in its place."""
+    file_names = (
+        {_file_of(path, source, names).name for source in mapping.signals.values()} if path.is_file() else set()
+    )
+    if file_names and path.name not in file_names:
         raise InputError(
-            f"the mapping takes its signals from {', '.join(sorted(read))} in this folder and none from this file; "
-            "name the folder, or take `file` out of the mapping where every file is a run",
+            f"the mapping takes its signals from {', '.join(sorted(file_names))} in this folder and none from this "
+            "file; name the folder, or take `file` out of the mapping where every file is a run",
             file=path,
         )
 
@@ -112,16 +114,16 @@ def _file_of(path: Path, source: SignalSource, names: Names) -> Path:
         return path.parent
     if not path.is_dir() or is_bag_folder(path):
         return path
-    inside = sorted(file for file in path.iterdir() if suffix_of(file) in SEARCHED_SUFFIXES)
-    if len(inside) == 1:  # a bag that has lost its metadata.yaml, or a table in a folder of its own
-        return inside[0]
-    if not inside:
+    files = sorted(file for file in path.iterdir() if suffix_of(file) in SEARCHED_SUFFIXES)
+    if len(files) == 1:  # a bag that has lost its metadata.yaml, or a table in a folder of its own
+        return files[0]
+    if not files:
         raise InputError(
             f"no recording in this folder; expected metadata.yaml of a bag, or one of {', '.join(SEARCHED_SUFFIXES)}",
             file=path,
         )
     raise InputError(
-        f"a folder of {len(inside)} files ({', '.join(file.name for file in inside[:3])}, ...) where one run is "
+        f"a folder of {len(files)} files ({', '.join(file.name for file in files[:3])}, ...) where one run is "
         "expected; name one of them, or say with `file` in the mapping which signal lies in which",
         file=path,
     )
@@ -141,8 +143,8 @@ def open_file(file: Path, mapping: Mapping, names: Names, wanted: tuple[SignalNa
     """
     if not file.exists():
         folder = file.parent
-        near = did_you_mean(file.name, [other.name for other in folder.iterdir()]) if folder.is_dir() else ""
-        raise InputError(f"no such file{near} (it should have {', '.join(wanted)})", file=file)
+        suggestion = did_you_mean(file.name, [other.name for other in folder.iterdir()]) if folder.is_dir() else ""
+        raise InputError(f"no such file{suggestion} (it should have {', '.join(wanted)})", file=file)
     if file.is_file() and file.stat().st_size == 0:
         raise InputError("this file is empty", file=file)
     if file.is_dir() or suffix_of(file) in BAG_SUFFIXES:

@@ -28,7 +28,7 @@ Cells = dict[str, list[str] | NDArray[Any]]
 MAX_SHOWN_RUNS = 8  # in a message
 DEFAULT_LAYOUT = TableLayout()
 MAX_TORN_SHARE = 0.1  # of the lines; with more, the header belongs to another table
-TRAILING = "; the names of the columns may stand in another line: table.header in the mapping says in which"
+HEADER_HINT = "; the names of the columns may stand in another line: table.header in the mapping says in which"
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Columns:
     def in_rows(self, rows: NDArray[np.signedinteger]) -> Columns:
         """Some of the rows."""
         cells: dict[str, list[str] | NDArray[Any]] = {
-            name: own[rows] if isinstance(own, np.ndarray) else [own[row] for row in rows]
-            for name, own in self.cells.items()
+            name: column[rows] if isinstance(column, np.ndarray) else [column[row] for row in rows]
+            for name, column in self.cells.items()
         }
         return replace(self, cells=cells, lines=tuple(self.lines[row] for row in rows) if self.lines else ())
 
@@ -66,18 +66,18 @@ def read_columns(path: Path, layout: TableLayout = DEFAULT_LAYOUT, recorded: boo
         path: The file.
         layout: Where a text has its names and rows.
         recorded: Whether it was recorded sample by sample: its last line may be cut off, and it has at least one row.
-            Every line of other tables has as many cells as the header, and they may lack rows, or a header; commas in
-            all their numbers between semicolons or tabs are decimal signs.
+            In other tables every line has as many cells as the header, rows or header may be missing, and commas in
+            all numbers between semicolons or tabs are decimal signs.
 
     Raises:
         InputError: It cannot be read, a line has another number of cells, or two columns share a name.
     """
     if suffix_of(path) == ".parquet":
-        return _of_parquet(path)
+        return _read_parquet(path)
     if suffix_of(path) in JSON_SUFFIXES:
         cells, remarks = read_json_table(path)
         return Columns(cells, remarks=remarks)
-    return _of_npy(path) if suffix_of(path) == ".npy" else _of_text(path, layout, recorded)
+    return _read_npy(path) if suffix_of(path) == ".npy" else _read_text(path, layout, recorded)
 
 
 def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns:
@@ -92,14 +92,14 @@ def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns
     Raises:
         InputError: It cannot be read, or has no such column or run.
     """
-    every = run_names(path, layout, column)
-    rows = np.flatnonzero([name == run for name in every])
+    run_of_row = run_names(path, layout, column)
+    rows = np.flatnonzero([name == run for name in run_of_row])
     if not rows.size:
-        known = list(dict.fromkeys(every))
-        listed = ", ".join(known[:MAX_SHOWN_RUNS]) + (" ..." if len(known) > MAX_SHOWN_RUNS else "")
-        raise InputError(f"no row is of run {run!r}{did_you_mean(run, known)}; found: {listed}", file=path, key=column)
+        runs = list(dict.fromkeys(run_of_row))
+        listed = ", ".join(runs[:MAX_SHOWN_RUNS]) + (" ..." if len(runs) > MAX_SHOWN_RUNS else "")
+        raise InputError(f"no row is of run {run!r}{did_you_mean(run, runs)}; found: {listed}", file=path, key=column)
     if suffix_of(path) == ".parquet":
-        return _of_parquet(path, (int(rows[0]), int(rows[-1]) + 1)).in_rows(rows - rows[0])
+        return _read_parquet(path, (int(rows[0]), int(rows[-1]) + 1)).in_rows(rows - rows[0])
     return read_columns(path, layout).in_rows(rows)
 
 
@@ -109,15 +109,15 @@ def run_names(path: Path, layout: TableLayout, column: str) -> list[str]:
     Raises:
         InputError: The file cannot be read, or has no such column.
     """
-    columns = _of_parquet(path, names=[column]) if suffix_of(path) == ".parquet" else read_columns(path, layout)
+    columns = _read_parquet(path, names=[column]) if suffix_of(path) == ".parquet" else read_columns(path, layout)
     if column not in columns.cells:
-        found = ", ".join(columns.cells)
-        message = f"no column {column!r}{did_you_mean(column, columns.cells)}; found: {found}"
+        headers = ", ".join(columns.cells)
+        message = f"no column {column!r}{did_you_mean(column, columns.cells)}; found: {headers}"
         raise InputError(message, file=path, key="run_column of the mapping")
     return runs_of(columns.cells[column])
 
 
-def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
+def _read_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
     point = layout.decimal if recorded else decimal_sign([line for _, line in read_lines(path)])
     rows = csv_rows(path, layout.header, layout.first, point)
     if layout.header == 0 and rows:
@@ -126,45 +126,47 @@ def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
         raise InputError("expected a line of column names and lines of numbers", file=path)
     if not rows:
         return Columns({})
-    (at, names), *rows = rows
-    what = "numbers" if recorded else "cells"
+    (header_line, names), *rows = rows
+    cell_kind = "numbers" if recorded else "cells"
     header, remarks = [name.strip() for name in names], []
     if recorded and len(rows) > 1 and len(rows[-1][1]) < len(header) and not path.read_bytes().endswith(b"\n"):
         number, row = rows.pop()
         message = f"line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out"
         remarks.append(f"{path.name}: {message}")
-    named = max((place + 1 for place, name in enumerate(header) if name), default=0)
-    if all(_is_blank(row[named:]) for _, row in rows):  # separators at the ends of lines
-        header = header[:named]
+    count = max((index + 1 for index, name in enumerate(header) if name), default=0)
+    if all(_is_blank(row[count:]) for _, row in rows):  # separators at the ends of lines
+        header = header[:count]
     rows = [(number, row[: len(header)] if _is_blank(row[len(header) :]) else row) for number, row in rows]
-    torn = [place for place, (_, row) in enumerate(rows) if len(row) != len(header)]
+    torn = [index for index, (_, row) in enumerate(rows) if len(row) != len(header)]
     if torn:
         number, row = rows[torn[0]]
-        message = f"line {number}: {len(row)} {what}, expected {len(header)} as in line {at or rows[0][0]}"
+        message = (
+            f"line {number}: {len(row)} {cell_kind}, expected {len(header)} as in line {header_line or rows[0][0]}"
+        )
         if not recorded or len(torn) > MAX_TORN_SHARE * len(rows):
-            raise InputError(f"{message}{TRAILING if recorded else ''}", file=path)
+            raise InputError(f"{message}{HEADER_HINT if recorded else ''}", file=path)
         share = f"{len(torn)} of {len(rows)} lines are torn ({100.0 * len(torn) / len(rows):.2g} %)"
         remarks.append(f"{path.name}: {share}, the first in {message}: left out")
-        rows = [row for place, row in enumerate(rows) if place not in set(torn)]
+        rows = [row for index, row in enumerate(rows) if index not in set(torn)]
     lines = tuple(number for number, _ in rows)
     columns = [list(cells) for cells in zip(*(row for _, row in rows), strict=True)] or [[] for _ in header]
     cells: Cells = dict(zip(header, columns, strict=True))
-    return Columns(_each_once(path, header, cells), lines, remarks=tuple(remarks), header=at)
+    return Columns(_without_repeated_names(path, header, cells), lines, remarks=tuple(remarks), header=header_line)
 
 
 def _is_blank(cells: Sequence[str]) -> bool:
     return not any(cell.strip() for cell in cells)
 
 
-def _each_once(path: Path, names: Sequence[str], cells: Cells) -> Cells:
-    """Columns of a file, whose names are different."""
+def _without_repeated_names(path: Path, names: Sequence[str], cells: Cells) -> Cells:
+    """Columns of a file; refused if two of them have one name."""
     if len(cells) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"column {twice!r} appears twice", file=path)
+        repeated = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"column {repeated!r} appears twice", file=path)
     return cells
 
 
-def _of_npy(path: Path) -> Columns:
+def _read_npy(path: Path) -> Columns:
     try:
         array = np.load(path, allow_pickle=False)
     except Exception as error:  # a damaged file can fail anywhere inside the library
@@ -187,7 +189,7 @@ def _of_npy(path: Path) -> Columns:
     return Columns(cells)
 
 
-def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str] | None = None) -> Columns:
+def _read_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str] | None = None) -> Columns:
     """Read selected columns and a row range (default: all)."""
     require("pyarrow", path)
     import pyarrow
@@ -220,4 +222,4 @@ def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str
             cells[name] = column.to_numpy(zero_copy_only=False)
         else:
             cells[name] = [cell_text(cell) for cell in column.to_pylist()]
-    return Columns(_each_once(path, names, cells), dates=frozenset(dates))
+    return Columns(_without_repeated_names(path, names, cells), dates=frozenset(dates))

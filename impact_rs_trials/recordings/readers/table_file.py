@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables (CSV, text, Parquet, NPY, JSON): a column per joint, or one column with all joints in a cell, ``0.1 0.2 0.3``.
 
-A row may hold some signals only: where all cells of a signal are empty (or NaN) it has no sample.
+A row may hold some signals only: a signal whose cells are all empty (or NaN) has no sample there.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Ser
 from impact_rs_trials.recordings.readers.table_columns import read_columns, read_rows
 
 MAX_SHOWN_COLUMNS = 8  # in a message
-BRACKETS = "[](){} \t"  # about the numbers of a cell
+BRACKETS = "[](){} \t"  # around the numbers of a cell
 BETWEEN = re.compile(r"[\s,;]+")
 DATE = re.compile(
     r"(\d{4})[-/](\d\d)[-/](\d\d)[T ](\d\d):(\d\d):(\d\d)(?:[.,](?P<fraction>\d{1,9}))?"
@@ -46,9 +46,11 @@ class TableFile:
 
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
-        here = [source for source in mapping.signals.values() if source.file and names.fill(source.file) == path.name]
-        own = [source.table for source in here if source.table is not None]
-        layout = own[0] if own else mapping.table
+        sources = [
+            source for source in mapping.signals.values() if source.file and names.fill(source.file) == path.name
+        ]
+        layouts = [source.table for source in sources if source.table is not None]
+        layout = layouts[0] if layouts else mapping.table
         if mapping.run_column is None:
             self._columns = read_columns(path, layout)
         else:
@@ -70,7 +72,7 @@ class TableFile:
             MissingSignal: The file lacks it.
             InputError: It cannot be used.
         """
-        columns = self._named(name, source)
+        columns = self._column_names(name, source)
         if not columns:
             raise MissingSignal(f"the mapping says no column for {name}", file=self._path, key=f"signals.{name}")
         key = f"signals.{name}.{'column' if source.columns is None else 'columns'}"
@@ -79,10 +81,10 @@ class TableFile:
         else:
             values = np.column_stack([self._numbers(column, name, key) for column in columns])
         time = self._seconds(source, name, len(values)) + source.delay
-        place, remarks = f"column {columns[0]!r} ({name})", self._columns.remarks
-        return Series(place, time, self._mapping.to_si(name, values), remarks=remarks).sampled()
+        label, remarks = f"column {columns[0]!r} ({name})", self._columns.remarks
+        return Series(label, time, self._mapping.to_si(name, values), remarks=remarks).sampled()
 
-    def _named(self, name: SignalName, source: SignalSource) -> list[str]:
+    def _column_names(self, name: SignalName, source: SignalSource) -> list[str]:
         if source.columns is not None:
             return [self._names.fill(column) for column in source.columns]
         if source.column is None:
@@ -95,15 +97,15 @@ class TableFile:
         clock = self._mapping.clock(source)
         if clock.rate is not None and clock.unit != "frames":
             return np.asarray(np.arange(samples) / clock.rate)
-        named = clock.column
+        clock_column = clock.column
         key = "time.column" if source.time_column is None else f"signals.{name}.time_column"
-        if not isinstance(named, str):
-            pair = [self._names.fill(one) for one in named]
-            for one in pair:
-                self._cells(one, "time", key)
-            whole, rest = (self._stamps(one, key) for one in pair)
-            return seconds_of_pair(self._path, f"columns {pair[0]!r} and {pair[1]!r} (time)", whole, rest)
-        column = self._names.fill(named)
+        if not isinstance(clock_column, str):
+            pair = [self._names.fill(column_name) for column_name in clock_column]
+            for column_name in pair:
+                self._cells(column_name, "time", key)
+            seconds, nanoseconds = (self._stamps(column_name, key) for column_name in pair)
+            return seconds_of_pair(self._path, f"columns {pair[0]!r} and {pair[1]!r} (time)", seconds, nanoseconds)
+        column = self._names.fill(clock_column)
         cells = self._cells(column, "time", key)
         if column in self._columns.dates:
             return seconds_of(np.asarray(cells), 1e-9)
@@ -115,7 +117,7 @@ class TableFile:
         return seconds_by(self._path, clock, self._stamps(column, key))
 
     def _stamps(self, column: str, key: str) -> NDArray[Any]:
-        """A column of time, as integers if it holds nothing else."""
+        """A column of time, as integers if all its cells are integers."""
         cells = self._columns.cells[column]
         if isinstance(cells, list) and cells and all(cell.isascii() and cell.isdecimal() for cell in cells):
             longest = max(cells, key=len)
@@ -130,23 +132,25 @@ class TableFile:
 
     def _date(self, cell: str, row: int, column: str) -> int:
         """Nanoseconds from 1970 to a date, UTC without a zone."""
-        found = DATE.fullmatch(cell.strip())
-        if found is None:
+        match = DATE.fullmatch(cell.strip())
+        if match is None:
             message = f"{shortened(cell, 40)!r}, expected a date as 2026-11-25 12:00:00.5 or an instant with its zone"
             raise self._wrong(message, row, column)
         try:
-            year, month, day, hour, minute, second = map(int, found.groups()[:6])
-            whole = int(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp())
+            year, month, day, hour, minute, second = map(int, match.groups()[:6])
+            local = int(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp())
         except ValueError as error:
             raise self._wrong(f"{cell.strip()!r} is no date: {error}", row, column) from None
-        ahead = int(f"{found['sign'] or '+'}1") * (3600 * int(found["hours"] or 0) + 60 * int(found["minutes"] or 0))
-        return (whole - ahead) * 10**9 + int((found["fraction"] or "0").ljust(9, "0"))
+        zone_offset = int(f"{match['sign'] or '+'}1") * (
+            3600 * int(match["hours"] or 0) + 60 * int(match["minutes"] or 0)
+        )
+        return (local - zone_offset) * 10**9 + int((match["fraction"] or "0").ljust(9, "0"))
 
     def _cells(self, column: str, name: str, key: str) -> list[str] | NDArray[Any]:
         if column not in self._columns.cells:
-            near, found = did_you_mean(column, self._columns.cells), list(self._columns.cells)
-            more = " ..." if len(found) > MAX_SHOWN_COLUMNS else ""
-            message = f"no column {column!r} ({name}){near}; found: {', '.join(found[:MAX_SHOWN_COLUMNS])}{more}"
+            suggestion, names = did_you_mean(column, self._columns.cells), list(self._columns.cells)
+            more = " ..." if len(names) > MAX_SHOWN_COLUMNS else ""
+            message = f"no column {column!r} ({name}){suggestion}; found: {', '.join(names[:MAX_SHOWN_COLUMNS])}{more}"
             raise MissingSignal(message, file=self._path, key=f"{key} of the mapping")
         return self._columns.cells[column]
 
@@ -157,15 +161,15 @@ class TableFile:
         return np.array([self._number(cell or "nan", row, column) for row, cell in enumerate(cells)])
 
     def _vectors(self, column: str, name: SignalName, key: str, entries: tuple[int, ...] | None) -> Array:
-        """Cells that hold all numbers of a sample, ``(k, width)``; an empty cell gives nan."""
+        """Numbers of cells that hold a whole sample each, ``(k, width)``; nan for an empty cell."""
         cells, width = self._cells(column, name, key), self._mapping.width(name)
-        rows, whole = np.full((len(cells), width), np.nan), 0
+        rows, count = np.full((len(cells), width), np.nan), 0
         for row, cell in enumerate(cells):
             parts = [part for part in BETWEEN.split(str(cell).strip(BRACKETS)) if part]
             if entries is not None and parts:
-                whole = whole or max(len(parts), max(entries))
-                if len(parts) != whole:
-                    message = f"{len(parts)} numbers in a cell, expected {whole}"
+                count = count or max(len(parts), max(entries))
+                if len(parts) != count:
+                    message = f"{len(parts)} numbers in a cell, expected {count}"
                     raise self._wrong(f"{message}, as many in all rows and all that entries names", row, column)
                 parts = [parts[entry - 1] for entry in entries]
             if len(parts) not in (0, width):

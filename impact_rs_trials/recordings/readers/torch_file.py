@@ -3,7 +3,7 @@
 
 A file is a ZIP archive: ``data.pkl`` is a pickle of the dictionary, whose tensors are a storage with offset, size and
 strides; ``data/KEY`` are the raw numbers of a storage, ``byteorder`` their order (PyTorch, serialization semantics).
-A pickle can call any function: this reader knows dictionaries, tensors and their storages, and refuses all else.
+A pickle can call any function: this reader knows dictionaries, tensors and their storages, and refuses anything else.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ REMEDY = "numpy.savez('log.npz', **{name: tensor.numpy() for name, tensor in tor
 
 
 class _Refused(Exception):
-    """A pickle of something else than tensors by name."""
+    """A pickle that does not hold tensors by name."""
 
 
 def read_torch(path: Path) -> dict[str, NDArray[Any]]:
@@ -50,7 +50,7 @@ def read_torch(path: Path) -> dict[str, NDArray[Any]]:
                 content = _Tensors(stream, _storages(archive, folder)).load()
         if not isinstance(content, dict):
             raise _Refused(f"it holds {type(content).__name__}, expected a dictionary of tensors")
-        return dict(_named(content, "", MAX_NESTED_DICTIONARIES))
+        return dict(_arrays_by_path(content, "", MAX_NESTED_DICTIONARIES))
     except Exception as error:  # a damaged archive or pickle fails anywhere inside the libraries
         message = shortened((str(error).splitlines() or [type(error).__name__])[0])  # may hold names that damage made
         raise InputError(
@@ -78,7 +78,7 @@ class _Tensors(pickle.Unpickler):
         self._storage = storage
 
     def find_class(self, module: str, name: str) -> Any:
-        """The functions and types that a pickle of tensors names; nothing else is ever called."""
+        """The only functions and types that a pickle may name: those of tensors."""
         if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
             return _tensor
         if (module, name) == ("collections", "OrderedDict"):
@@ -107,10 +107,10 @@ def _tensor(
     return np.lib.stride_tricks.as_strided(storage[offset:], size, steps).copy()
 
 
-def _named(content: Mapping[Any, Any], before: str, depth: int) -> Iterator[tuple[str, NDArray[Any]]]:
+def _arrays_by_path(content: Mapping[Any, Any], prefix: str, depth: int) -> Iterator[tuple[str, NDArray[Any]]]:
     """Arrays of a dictionary by their path."""
     for name, value in content.items():
         if isinstance(value, np.ndarray):
-            yield f"{before}{name}", value
+            yield f"{prefix}{name}", value
         elif isinstance(value, dict) and depth > 0:
-            yield from _named(value, f"{before}{name}/", depth - 1)
+            yield from _arrays_by_path(value, f"{prefix}{name}/", depth - 1)

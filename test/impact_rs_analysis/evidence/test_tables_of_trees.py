@@ -226,7 +226,7 @@ def test_a_base_that_floats_in_the_table_alone_is_refused(tmp_path: Path) -> Non
     """The scenario's robot is mounted; its file lacks ``floating_base``."""
     row = hit(scenario(True), np.random.default_rng(1), 0)
     table = write_csv(tmp_path / "hits.csv", header(True), [row])
-    said = r"column 'base_x \[m\]' is of no joint and no floating base of scenario 'push' \(robot has 3\)"
+    said = r"column 'base_x \[m\]' belongs to no joint or floating base of scenario 'push' \(robot has 3\)"
     with pytest.raises(InputError, match=said):
         read_impact_table(table, validate(Scenario, scenario(False), "mine.yaml"))
 

@@ -234,7 +234,7 @@ def test_an_unusable_state_ends_the_trial_and_the_brake_uses_the_last_one(
 def test_a_state_that_is_older_than_the_limit_ends_the_trial() -> None:
     bench = Bench().under_way()
     bench.step += 12
-    bench.trial._heard = 100.0 + bench.step * PERIOD  # others came and were of no use
+    bench.trial._last_state_at = 100.0 + bench.step * PERIOD  # others came and were of no use
     bench.state(age=LIMIT + 1e-4)
     assert bench.trial.failure == "at t = 0.001 s: the robot's state is 0.0101 s old, state_timeout is 0.01 s"
 
@@ -290,7 +290,7 @@ def test_an_arm_that_drifts_before_tick_0_begins_no_trial() -> None:
 def test_states_that_are_missing_end_the_trial() -> None:
     bench = Bench().under_way()
     bench.step += 15
-    bench.trial._heard = 100.0 + bench.step * PERIOD  # they came, and were lost on the way to the program
+    bench.trial._last_state_at = 100.0 + bench.step * PERIOD  # they came, and were lost on the way to the program
     bench.state()
     assert bench.trial.failure == "at t = 0.001 s: 15 states of the robot are missing"
 

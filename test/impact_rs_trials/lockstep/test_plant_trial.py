@@ -39,7 +39,7 @@ class Bench(Wires):
             step=lambda torques: self.used.append(float(torques["arm"][0])),
             close=lambda: None,
         )
-        monkeypatch.setattr(PlantTrial, "_rest", lambda trial: None)
+        monkeypatch.setattr(PlantTrial, "_publish_others", lambda trial: None)
         pace = Pace(realtime, limit, 0.25, 1.5)
         self.trial = PlantTrial(PUSH, MAKER, plant, pace, self, self, FrameSource(PUSH.scene))
         self.trial._last = 5

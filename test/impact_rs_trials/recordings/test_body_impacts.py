@@ -284,7 +284,7 @@ def test_samples_of_a_body_that_are_no_numbers_are_said(tmp_path: Path) -> None:
     lines[20] = f"{lines[20].rpartition(',')[0]},inf"
     (tmp_path / "lab" / "run_1.csv").write_text("\n".join(lines) + "\n")
     found = find_impacts(tmp_path / "lab", experiment, map)
-    assert "column 'x' (object_position): 2 of 138 samples are no finite numbers: left out" in found.remarks
+    assert "column 'x' (object_position): 2 of 138 samples are not finite and left out" in found.remarks
     speeds = [table_text(one.impacts, one.constants).splitlines()[1].split(",")[7:10] for one in (clean, found)]
     np.testing.assert_allclose(np.array(speeds[1], dtype=float), np.array(speeds[0], dtype=float), atol=1e-3)
 

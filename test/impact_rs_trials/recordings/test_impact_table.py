@@ -291,7 +291,7 @@ def test_missing_numbers_of_a_parquet_file_are_empty_cells(tmp_path: Path, cubes
     parquet.write_table(pyarrow.Table.from_pylist(rows), path)
     assert not lacking(refusal(read_impact_table, path), "row 3, column 'time [s]'|this cell is empty")
     parquet.write_table(pyarrow.Table.from_pylist([row | {"time [s]": 0.0} for row in rows]), path)
-    assert [row.distance.way for row in read_impact_table(path).rows if row.distance] == [0.3] * len(rows)
+    assert [row.distance.measured for row in read_impact_table(path).rows if row.distance] == [0.3] * len(rows)
 
 
 def test_the_table_of_columns_on_the_page_is_that_of_the_code() -> None:

@@ -746,7 +746,7 @@ def test_words_in_names_of_files_tell_runs_apart(tmp_path: Path, motion: Columns
     assert mapping.signals["torque"].file == pattern.format(kind="arm_tau", run="{run}")
     (loaded,) = read_recordings(folder / "with_load", mapping)
     np.testing.assert_allclose(loaded.signals.arms["arm"].torque, 1.2 * motion["effort"], atol=1e-6)
-    assert "those that signals.NAME.file finds here: empty, with_load" in refusal(
+    assert "runs that signals.NAME.file finds here: empty, with_load" in refusal(
         read_recordings, folder / "lod", mapping
     )
 

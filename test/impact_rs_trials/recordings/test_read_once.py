@@ -56,7 +56,7 @@ def test_a_file_that_changes_is_read_again(file: Path) -> None:
 
 def test_the_oldest_is_given_up_where_files_are_large(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Kills an import of many runs that keeps all of them in memory."""
-    monkeypatch.setattr(read_once, "MAX_KEPT_BYTES", 3)
+    monkeypatch.setattr(read_once, "MAX_CACHED_BYTES", 3)
     others = [file.with_name(f"{number}.txt") for number in range(2)]
     with files_read_once():
         for one in (file, *others):
