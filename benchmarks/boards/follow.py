@@ -223,10 +223,10 @@ def changed_day(day_kind: str, work: Work, rng: np.random.Generator) -> Row:
     best = rms(np.array(offline)[LATE])
     causes = [] if alarm is None or alarm.change is None else alarm.change.causes
     named_cause = next((cause for cause in causes if cause.effect == effect), None)
-    part = follower.watch.hits.candidate.part(effect)
-    largest = int(np.argmax(np.abs(values - follower.watch.hits.candidate.nominal[part])))
-    planted_change = values[largest] - follower.watch.hits.candidate.nominal[part][largest]
-    name = follower.watch.hits.candidate.scalars[part][largest].name
+    part = follower.watch.hit_model.candidate.part(effect)
+    largest = int(np.argmax(np.abs(values - follower.watch.hit_model.candidate.nominal[part])))
+    planted_change = values[largest] - follower.watch.hit_model.candidate.nominal[part][largest]
+    name = follower.watch.hit_model.candidate.scalars[part][largest].name
     change = (
         next((p.change for p in named_cause.parameters if p.parameter == f"{effect}.{name}"), 0.0)
         if named_cause
@@ -247,8 +247,8 @@ def changed_day(day_kind: str, work: Work, rng: np.random.Generator) -> Row:
 
 def offline_errors(follower: Follower, base: Any, effect: str, values: Array, hits: list[Hit]) -> tuple[Any, Any]:
     """Prediction errors of the planted effect fitted to all hits since the change, and of the frozen model."""
-    hit_model, window = follower.watch.hits, copy.deepcopy(base)
-    frozen = [rms(base.posterior.now.rest(hit_model.evidence(hit, base.point))) for hit in hits]
+    hit_model, window = follower.watch.hit_model, copy.deepcopy(base)
+    frozen = [rms(base.posterior.now.residual_of(hit_model.evidence(hit, base.point))) for hit in hits]
     window.posterior.absorb_before(len(window.posterior.window))
     for hit in hits:
         window.posterior.add([hit_model.evidence(hit, window.point)])
@@ -257,7 +257,7 @@ def offline_errors(follower: Follower, base: Any, effect: str, values: Array, hi
     scale, nominal = hit_model.candidate.scale[part], hit_model.candidate.nominal[part]
     start = [(values - nominal)[n - part.start] / scale[n - part.start] for n in numbers]
     fitted = Causes(hit_model).about(window, ChangeExplanation(effect, 0, np.array(start), 0.0))
-    return [rms(fitted.posterior.now.rest(hit_model.evidence(hit, fitted.point))) for hit in hits], frozen
+    return [rms(fitted.posterior.now.residual_of(hit_model.evidence(hit, fitted.point))) for hit in hits], frozen
 
 
 def rms(values: Array) -> float:
@@ -284,7 +284,7 @@ def drifting_day(work: Work, rng: np.random.Generator) -> Row:
             base = copy.deepcopy(follower.watch.likeliest) if base is None else base
             true = distance(hit.measured)
             for name, explanation in (("followed", follower.watch.likeliest), ("frozen", base)):
-                mean, _ = follower.watch.hits.predicted(explanation, hit)
+                mean, _ = follower.watch.hit_model.predicted(explanation, hit)
                 errors[name].append(distance(mean) - true)
         changes += take(follower, hit)[0].change is not None
     rms_errors = {name: 1e3 * rms(np.array(values)) for name, values in errors.items()}

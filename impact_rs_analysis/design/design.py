@@ -117,8 +117,8 @@ def planned(
         )
     before = counts.total(counts.counted)
     after = counts.total(counts.with_more(picked))
-    known, freedom = counts.freedom({}), counts.freedom(picked)
-    pairs = _pairs(decision, counts.probabilities(before, known), counts.probabilities(after, freedom))
+    freedom_before, freedom_after = counts.freedom({}), counts.freedom(picked)
+    pairs = _pairs(decision, counts.probabilities(before, freedom_before), counts.probabilities(after, freedom_after))
     words = {name: _buys(counts, decision, after, picked, name) for name in picked}
     names = [decision.explanations[number].name for number in sorted(unseen)]
     return ExperimentPlan(
@@ -128,7 +128,7 @@ def planned(
         method=method,
         budget=budget,
         seed=seed,
-        freedom=int(freedom),
+        freedom=int(freedom_after),
         summary=_summary(decision, pairs, picked, counts.information(after) if decision.aim == "parameters" else 0.0)
         + (f"; no possible trial shows {', '.join(names)}" if names else ""),
         pairs=tuple(pairs[:MAX_LISTED_PAIRS]),
@@ -140,9 +140,9 @@ def _unseen(decision: Decision, trials: Sequence[ForecastTrial]) -> set[int]:
     """Indices of the explanations without estimates that change no feature of any trial, as a drift over weeks."""
     return {
         number
-        for number, one in enumerate(decision.explanations)
-        if one.varied
-        and not one.estimated
+        for number, explanation in enumerate(decision.explanations)
+        if explanation.varied
+        and not explanation.estimated
         and max(float(np.max(np.abs(trial.spreads[number]))) for trial in trials) < MIN_SEEN_CHANGE
     }
 
@@ -168,14 +168,14 @@ def _campaigns(trials: dict[str, ForecastTrial], picked: Counts, words: dict[str
         trial = trials[name].trial
         assert trial is not None
         groups.setdefault(trial.spec.scenario.name, []).append((trial, name))
-    found = []
-    for folder, own in groups.items():
-        first = own[0][0]
+    campaigns = []
+    for folder, conditions in groups.items():
+        first = conditions[0][0]
         settings: dict[str, Any] = dict(first.settings)
-        for trial, _ in own:
-            if trial.own_case is not None:
-                settings[f"cases.{trial.spec.case}"] = trial.own_case.model_dump(mode="json")
-        found.append(
+        for trial, _ in conditions:
+            if trial.new_case is not None:
+                settings[f"cases.{trial.spec.case}"] = trial.new_case.model_dump(mode="json")
+        campaigns.append(
             PlannedCampaign(
                 folder=folder,
                 scenario=first.scenario,
@@ -189,25 +189,25 @@ def _campaigns(trials: dict[str, ForecastTrial], picked: Counts, words: dict[str
                         what=trial.what,
                         buys=words[name],
                     )
-                    for trial, name in own
+                    for trial, name in conditions
                 ),
             )
         )
-    return tuple(found)
+    return tuple(campaigns)
 
 
 def _buys(counts: Discrimination, decision: Decision, total: Belief, picked: Counts, name: str) -> str:
     """Marginal gain of the trials of one condition, given all others of the plan."""
-    there, repeats = counts.counted.get(name, 0), picked[name]
-    without = counts.added(total, name, there + repeats, there)
+    before, repeats = counts.counted.get(name, 0), picked[name]
+    without = counts.added(total, name, before + repeats, before)
     trial = counts.trial(name)
     times = f"{repeats} x {name if trial is None else trial.what}"
     if decision.aim == "parameters":
         gained = counts.information(total) - counts.information(without)
         return f"{times} add {gained:.2g} nat of information on the parameters"
-    rest = {other: repeats for other, repeats in picked.items() if other != name}
+    other_picks = {condition: repeats for condition, repeats in picked.items() if condition != name}
     now = counts.probabilities(total, counts.freedom(picked))
-    less = counts.probabilities(without, counts.freedom(rest))
+    less = counts.probabilities(without, counts.freedom(other_picks))
     best = int(np.argmax(now - less))
     i, j = decision.pairs[best]
     first, second = decision.explanations[i].name, decision.explanations[j].name
@@ -227,10 +227,10 @@ def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, i
     listed = ", ".join(
         f"{pair.first} from {pair.second} ({_percent(pair.after)})" for pair in open_pairs[:MAX_NAMED_PAIRS]
     )
-    rest = f"; least certain: {listed}" if listed else ""
+    uncertain = f"; least certain: {listed}" if listed else ""
     return (
         f"{trials} distinguish {len(sure)} of {len(pairs)} pairs of explanations "
-        f"with {MIN_DISTINGUISHED_PROBABILITY:.0%} or more{rest}"
+        f"with {MIN_DISTINGUISHED_PROBABILITY:.0%} or more{uncertain}"
     )
 
 

@@ -55,7 +55,7 @@ class Discrimination:
     def __init__(self, decision: Decision, trials: Sequence[ForecastTrial]) -> None:
         self.decision = decision
         self._trials = {trial.name: trial for trial in trials}
-        ends = np.cumsum([0, *(1 + len(one.varied) for one in decision.explanations)])
+        ends = np.cumsum([0, *(1 + len(explanation.varied) for explanation in decision.explanations)])
         self._centres = ends[:-1]
         self._spreads = [np.arange(start + 1, end) for start, end in zip(ends[:-1], ends[1:], strict=True)]
         self._observations: dict[tuple[str, int], Observation] = {}
@@ -86,35 +86,35 @@ class Discrimination:
     def total(self, counts: Mapping[str, int]) -> Belief:
         """Information of conditions with given repeats about centres and parameters."""
         count = sum(1 + len(rows) for rows in self._spreads)
-        found = Belief.of(range(count), np.full(count, np.inf))
+        belief = Belief.of(range(count), np.full(count, np.inf))
         for name in sorted(counts):  # so that a sum does not depend on the order of the choice
             if counts[name]:
-                found.add(self._observation(name, counts[name]))
-        return found
+                belief.add(self._observation(name, counts[name]))
+        return belief
 
     def added(self, total: Belief, name: str, before: int, after: int) -> Belief:
         """The total with ``after`` repeats of a condition in the place of ``before``."""
-        found = total.copy()
+        belief = total.copy()
         if before:
-            found.add(self._observation(name, before), -1.0)
+            belief.add(self._observation(name, before), -1.0)
         if after:
-            found.add(self._observation(name, after))
-        return found
+            belief.add(self._observation(name, after))
+        return belief
 
     def gains(self, total: Belief) -> list[list[Array]]:
         """Squared distances of every pair, by direction and case, ``(cases,)`` [-]."""
         inner, _ = total.of_parameters()
-        left = [np.diag(fitted_out(inner, rows, RIVAL_RANGE_SCALES)) for rows in self._spreads]
-        found = []
+        unexplained = [np.diag(fitted_out(inner, rows, RIVAL_RANGE_SCALES)) for rows in self._spreads]
+        distances = []
         for i, j in self.decision.pairs:
             first, second = self.decision.explanations[i], self.decision.explanations[j]
             if first.estimated or second.estimated:
                 spreads = np.concatenate((self._spreads[i], self._spreads[j]))
-                found.append([np.array([distance(inner, self._centres[i], self._centres[j], spreads)])])
+                distances.append([np.array([distance(inner, self._centres[i], self._centres[j], spreads)])])
                 continue
             directions = [(first, i, j), (second, j, i)]
-            found.append([left[other][self._spreads[own]] for one, own, other in directions if one.varied])
-        return found
+            distances.append([unexplained[rival][self._spreads[n]] for e, n, rival in directions if e.varied])
+        return distances
 
     def probabilities(self, total: Belief, freedom: float = np.inf) -> Array:
         """Probability that the next diagnosis distinguishes them, for every pair, ``(pairs,)`` [-].
@@ -153,10 +153,10 @@ class Discrimination:
         """One condition with so many repeats."""
         key = name, repeats
         if key not in self._observations:
-            one = self._trials[name]
-            rows = [np.vstack((centre, spread)) for centre, spread in zip(one.centres, one.spreads, strict=True)]
-            unknown = np.zeros(len(one.cluster.features))
-            self._observations[key] = observation_of(one.cluster, unknown, np.vstack(rows).T, repeats)
+            trial = self._trials[name]
+            rows = [np.vstack((centre, spread)) for centre, spread in zip(trial.centres, trial.spreads, strict=True)]
+            unknown = np.zeros(len(trial.cluster.features))
+            self._observations[key] = observation_of(trial.cluster, unknown, np.vstack(rows).T, repeats)
         return self._observations[key]
 
 
@@ -164,8 +164,8 @@ def _means(gains: Sequence[Sequence[Array]], of: Callable[[Array], Array]) -> Ar
     """Mean over the cases for every pair, the smaller of both directions, ``(pairs,)``."""
     if not gains:
         return np.zeros(0)
-    every = [cases for ways in gains for cases in ways]
-    counts = [cases.size for cases in every]
+    all_cases = [cases for directions in gains for cases in directions]
+    counts = [cases.size for cases in all_cases]
     starts = np.cumsum([0, *counts[:-1]])
-    means = iter((np.add.reduceat(of(np.concatenate(every)), starts) / counts).tolist())
-    return np.array([min(next(means) for _ in ways) for ways in gains])
+    means = iter((np.add.reduceat(of(np.concatenate(all_cases)), starts) / counts).tolist())
+    return np.array([min(next(means) for _ in directions) for directions in gains])

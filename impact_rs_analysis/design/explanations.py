@@ -46,9 +46,14 @@ class Explanation:
         return bool(self.centre)
 
     @property
+    def all_added(self) -> tuple[Added, ...]:
+        """Its centre, then its varied entries."""
+        return (self.centre, *self.varied)
+
+    @property
     def effects(self) -> frozenset[str]:
         """Names of its effects."""
-        return frozenset(name for added in (self.centre, *self.varied) for name, _ in added)
+        return frozenset(name for added in self.all_added for name, _ in added)
 
 
 @dataclass(frozen=True)
@@ -90,8 +95,8 @@ def which_effect(
     noticed = [noticeable(effect, joints, worlds) for effect in effects if effect.phases != SINGLE_IMPACT]
     if not noticed:
         raise InputError("no effect is left to look for: the model has all that trials show")
-    every = Decision.between([Explanation(AS_IS), *noticed], "effects")
-    return replace(every, pairs=tuple(pair for pair in every.pairs if 0 in pair)) if whether_any else every
+    decision = Decision.between([Explanation(AS_IS), *noticed], "effects")
+    return replace(decision, pairs=tuple(pair for pair in decision.pairs if 0 in pair)) if whether_any else decision
 
 
 def noticeable(effect: Effect, joints: Joints, worlds: Sequence[Physics]) -> Explanation:
@@ -126,19 +131,19 @@ def estimated(
         steps = deviations[effect]
         for step, moved in zip(steps, _moved(np.array(values), steps, *bounds[effect]), strict=True):
             if step > 0.0 and np.any(moved != values):
-                own = list(centre)
-                own[number] = (effect, tuple(map(float, moved)))
-                varied.append(tuple(own))
+                effects = list(centre)
+                effects[number] = (effect, tuple(map(float, moved)))
+                varied.append(tuple(effects))
     return Explanation(name, centre, tuple(varied))
 
 
 def _moved(at: Array, steps: Array, lower: Array, upper: Array) -> list[Array]:
     """Parameter vectors with one step each, away from the nearer bound."""
-    found = []
+    vectors = []
     for index, step in enumerate(steps):
         moved = at.copy()
         up, down = at[index] + step, at[index] - step
         inside = up <= upper[index] or upper[index] - at[index] >= at[index] - lower[index]
         moved[index] = np.clip(up if inside else down, lower[index], upper[index])
-        found.append(moved)
-    return found
+        vectors.append(moved)
+    return vectors

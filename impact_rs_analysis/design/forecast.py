@@ -74,46 +74,52 @@ class Forecast:
 
     def under(self, decision: Decision) -> list[ForecastTrial]:
         """Every trial under the explanations of a decision."""
-        source, known = self.source, self.source.model.known_effects
-        wanted: list[tuple[int, Added]] = []
+        source, effects = self.source, self.source.model.known_effects
+        requests: list[tuple[int, Added]] = []
         for number, item in enumerate(source.clusters):
-            wanted.append((number, ()))
-            for one in decision.explanations:
-                if _shown(one, item, known):
-                    wanted += [(number, added) for added in (one.centre, *one.varied)]
-        found = dict(zip(wanted, source.predict(wanted, "predictions"), strict=True))
-        predicted = []
+            requests.append((number, ()))
+            for explanation in decision.explanations:
+                if _shown(explanation, item, effects):
+                    requests += [(number, added) for added in explanation.all_added]
+        features = dict(zip(requests, source.predict(requests, "predictions"), strict=True))
+        forecasts = []
         for number, item in enumerate(source.clusters):
-            base = found[number, ()]
+            base = features[number, ()]
             assert base is not None  # the source keeps no other
             columns = [
-                _columns(one, base, item, {added: found[number, added] for added in (one.centre, *one.varied)})
-                if _shown(one, item, known)
-                else np.zeros((1 + len(one.varied), base.size))
-                for one in decision.explanations
+                _columns([features[number, added] for added in explanation.all_added], base, item)
+                if _shown(explanation, item, effects)
+                else np.zeros((1 + len(explanation.varied), base.size))
+                for explanation in decision.explanations
             ]
-            kept = [rows for rows in columns if rows is not None]
-            if len(kept) == len(columns):  # without an impact there is nothing to compare
-                predicted.append(
+            complete = [rows for rows in columns if rows is not None]
+            if len(complete) == len(columns):  # without an impact there is nothing to compare
+                forecasts.append(
                     ForecastTrial(
                         name=item.name,
                         trial=self.trials.get(item.name),
                         cluster=item,
-                        centres=np.array([rows[0] for rows in kept]),
-                        spreads=tuple(rows[1:] for rows in kept),
+                        centres=np.array([rows[0] for rows in complete]),
+                        spreads=tuple(rows[1:] for rows in complete),
                         repeats=self.repeats.get(item.name, 0),
                     )
                 )
-        return predicted
+        return forecasts
 
 
-def _columns(one: Explanation, base: Array, item: Cluster, found: Mapping[Added, Array | None]) -> Array | None:
-    """Scaled change of the features by the centre, then by every deviation, ``(1 + p, F)``; None without an impact."""
-    centre = found[one.centre]
-    moved = [row for row in (found[added] for added in one.varied) if row is not None]
-    if centre is None or len(moved) < len(one.varied):
+def _columns(predicted: Sequence[Array | None], base: Array, item: Cluster) -> Array | None:
+    """Scaled change of the features by the centre, then by every deviation, ``(1 + p, F)``; None without an impact.
+
+    Args:
+        predicted: Features by :attr:`Explanation.all_added`, ``(F,)`` each.
+        base: Features of the model as it is, ``(F,)``.
+        item: Scale of the features.
+    """
+    hits = [row for row in predicted if row is not None]
+    if len(hits) < len(predicted):
         return None
-    return np.array([centre - base, *(row - centre for row in moved)]) / item.sigma
+    centre, *varied = hits
+    return np.array([centre - base, *(row - centre for row in varied)]) / item.sigma
 
 
 def forecast_of(
@@ -137,19 +143,19 @@ def forecast_of(
     Raises:
         InputError: No trial is within the limits, or the model is not valid.
     """
-    there = {} if runs is None else runs.conditions
-    tasks = [_Task(trial.spec, model, envelope) for trial in trials if trial.name not in there]
-    results = store.spread(_simulated, tasks, "trials on the twin")
-    found = [run for run in results if isinstance(run, MeasuredRun)]
+    conditions = {} if runs is None else runs.conditions
+    tasks = [_Task(trial.spec, model, envelope) for trial in trials if trial.name not in conditions]
+    results = store.distribute(_simulated, tasks, "trials on the twin")
+    simulated = [run for run in results if isinstance(run, MeasuredRun)]
     refused = tuple(run for run in results if not isinstance(run, MeasuredRun))
     measured = () if runs is None else runs.runs
-    if not found and not measured:
+    if not simulated and not measured:
         first = f", the first because: {refused[0][1]}" if refused else ""
         raise InputError(f"none of {len(trials)} trials is within the limits{first}")
-    noisy = _noisy(found, [run for group in there.values() for run in group[:2] if len(group) > 1])
+    noisy = _noisy(simulated, [run for group in conditions.values() for run in group[:2] if len(group) > 1])
     repeated = [
         run
-        for run in store.spread(
+        for run in store.distribute(
             _simulated,
             [
                 _Task(spec, model, NO_ENVELOPE, seed_of(seed, f"{label_of(spec)} {repeat}"))
@@ -160,22 +166,22 @@ def forecast_of(
         )
         if isinstance(run, MeasuredRun)
     ]
-    alike = {run.condition: run.features for run in found}
+    alike = {run.condition: run.features for run in simulated}
     repeated = [run for run in repeated if run.features == alike[run.condition]]
     scattered = {run.condition for run in repeated}
-    every = [*measured, *repeated, *(run for run in found if run.condition not in scattered)]
-    joined = Runs(Path() if runs is None else runs.directory, tuple(every), ())
-    model = with_per_arm_parameters(model, [run.setup.physics for run in every])
-    predicted = store([Replay(run.setup, model.containing(())) for run in every], "replays of the model")
-    kept = [(run, row) for run, row in zip(every, predicted, strict=True) if row is not None]
-    joined = replace(joined, runs=tuple(run for run, _ in kept))
+    all_runs = [*measured, *repeated, *(run for run in simulated if run.condition not in scattered)]
+    joined = Runs(Path() if runs is None else runs.directory, tuple(all_runs), ())
+    model = with_per_arm_parameters(model, [run.setup.physics for run in all_runs])
+    predicted = store([Replay(run.setup, model.containing(())) for run in all_runs], "replays of the model")
+    predicted_runs = [(run, row) for run, row in zip(all_runs, predicted, strict=True) if row is not None]
+    joined = replace(joined, runs=tuple(run for run, _ in predicted_runs))
     discrepancy = measured_discrepancy()
-    clusters, _ = clusters_of(joined, [run.measured - row for run, row in kept], discrepancy)
+    clusters, _ = clusters_of(joined, [run.measured - row for run, row in predicted_runs], discrepancy)
     source = ReplaySource(joined, model, store, clusters, discrepancy)
     return Forecast(
         source,
         {trial.name: trial for trial in trials},
-        {name: len(group) for name, group in there.items()},
+        {name: len(group) for name, group in conditions.items()},
         refused,
     )
 
@@ -196,36 +202,36 @@ def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
         run, verdict = simulated_and_judged(task.spec, physics, seed=task.seed)
         if verdict.outcome not in ACCEPTED_OUTCOMES:
             return name, f"{verdict.outcome}: {verdict.reason}"
-        found = MeasuredRun.of(run)
+        measured_run = MeasuredRun.of(run)
     except InputError as error:  # out of reach, or no contact
         return name, str(error)
     force = max(
         (
             abs(value)
-            for feature, value in zip(found.features, found.measured, strict=True)
+            for feature, value in zip(measured_run.features, measured_run.measured, strict=True)
             if feature.phase == "impact" and feature.unit == "N"
         ),
         default=0.0,
     )
     if task.envelope.force is not None and force > task.envelope.force:
         return name, f"contact force {force:.0f} N, limit {task.envelope.force:g} N"
-    return found
+    return measured_run
 
 
-def _noisy(found: Sequence[MeasuredRun], repeated: Sequence[MeasuredRun]) -> list[TrialSpec]:
+def _noisy(simulated: Sequence[MeasuredRun], repeated: Sequence[MeasuredRun]) -> list[TrialSpec]:
     """Trials whose scatter is simulated: some of each family of which no repeat was measured."""
-    known = {run.family for run in repeated}
+    measured_families = {run.family for run in repeated}
     groups: dict[tuple[object, ...], list[TrialSpec]] = {}
-    for run in found:
-        if run.family not in known and run.spec is not None:
+    for run in simulated:
+        if run.family not in measured_families and run.spec is not None:
             groups.setdefault(run.family, []).append(run.spec)
     chosen = []
     for specs in groups.values():
-        places = np.unique(np.linspace(0, len(specs) - 1, NOISY_TRIALS).round().astype(int))
-        chosen += [specs[place] for place in places]
+        indices = np.unique(np.linspace(0, len(specs) - 1, NOISY_TRIALS).round().astype(int))
+        chosen += [specs[index] for index in indices]
     return chosen
 
 
-def _shown(one: Explanation, item: Cluster, known: Mapping[str, Effect]) -> bool:
+def _shown(explanation: Explanation, item: Cluster, effects: Mapping[str, Effect]) -> bool:
     """Whether an explanation changes features of a cluster."""
-    return any(known[name].seen_in(item.contact) for name in one.effects)
+    return any(effects[name].seen_in(item.contact) for name in explanation.effects)

@@ -64,14 +64,14 @@ class PossibleTrial:
     Attributes:
         scenario: Name or path of the scenario file.
         settings: Settings of the variant that replace values of the file, without the case.
-        own_case: The case if it is not in the file.
+        new_case: The case if it is not in the file.
         spec: The trial.
         what: The trial in words.
     """
 
     scenario: str
     settings: Mapping[str, Any] = field(hash=False)
-    own_case: Case | None = field(hash=False)
+    new_case: Case | None = field(hash=False)
     spec: TrialSpec
     what: str
 
@@ -83,7 +83,7 @@ class PossibleTrial:
     @property
     def of_file(self) -> bool:
         """Whether the scenario file has it as it stands."""
-        return not self.settings and self.own_case is None
+        return not self.settings and self.new_case is None
 
 
 def possible_trials(scenarios: Sequence[str], envelope: Envelope = NO_ENVELOPE) -> list[PossibleTrial]:
@@ -96,15 +96,15 @@ def possible_trials(scenarios: Sequence[str], envelope: Envelope = NO_ENVELOPE) 
     Raises:
         InputError: There is no such scenario, two have one name, or the envelope of the cell allows no trial.
     """
-    found: dict[str, PossibleTrial] = {}
+    by_name: dict[str, PossibleTrial] = {}
     names: dict[str, str] = {}
     for path in dict.fromkeys(scenarios):
         scenario = load_scenario(path)
         if scenario.name in names:
             raise InputError(f"scenarios {names[scenario.name]!r} and {path!r} have one name, {scenario.name!r}")
         names[scenario.name] = path
-        found |= {trial.name: trial for trial in trials_of(path, scenario, envelope)}
-    trials = [found[name] for name in sorted(found)]
+        by_name |= {trial.name: trial for trial in trials_of(path, scenario, envelope)}
+    trials = [by_name[name] for name in sorted(by_name)]
     return trials if envelope.cell is None else _inside(trials, envelope.cell)
 
 
@@ -145,19 +145,19 @@ def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -
 
 
 def _of_variant(
-    path: str, scenario: Scenario, settings: Mapping[str, Any], aside: str, own: Mapping[str, Case]
+    path: str, scenario: Scenario, settings: Mapping[str, Any], aside: str, cases: Mapping[str, Case]
 ) -> Iterator[PossibleTrial]:
     """Trials of a variant: every object and case."""
-    added = {f"cases.{name}": case.model_dump(mode="json") for name, case in own.items() if name not in scenario.cases}
+    new = {name: case for name, case in cases.items() if name not in scenario.cases}
+    added = {f"cases.{name}": case.model_dump(mode="json") for name, case in new.items()}
     varied = scenario.with_settings({**settings, **added})
-    for name, case in own.items():
+    for name, case in cases.items():
         for item in scenario.objects:
             hit = "there and back" if scenario.excursion is not None else f"{scenario.name} of {item}"
-            of_file = max((known for known in scenario.cases if name.startswith(known)), key=len)
+            of_file = max((label for label in scenario.cases if name.startswith(label)), key=len)
             pose = name if name in scenario.cases else f"pose of {of_file}"
             words = f"{hit} at {_speed(case):.2g} m/s{aside} ({pose})"
-            own_case = None if name in scenario.cases else case
-            yield PossibleTrial(path, settings, own_case, TrialSpec.of(varied, item, name), words)
+            yield PossibleTrial(path, settings, new.get(name), TrialSpec.of(varied, item, name), words)
 
 
 def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
@@ -182,9 +182,9 @@ def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
         return
     side = _off_centre(scenario)
     if side is not None:
-        place, distance = side
+        position, distance = side
         yield (
-            {"name": f"{scenario.name}_beside", "object_position": place},
+            {"name": f"{scenario.name}_beside", "object_position": position},
             f", {1e3 * distance:.0f} mm beside the centre",
         )
 
@@ -238,26 +238,26 @@ def _off_centre(scenario: Scenario) -> tuple[list[float], float] | None:
 
 def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
     """Cases of a scenario, and its poses at other speeds: slower than all, speeds of other cases, the limit."""
-    found = dict(scenario.cases)
+    cases = dict(scenario.cases)
     if scenario.friction_compensation is not None:  # identified for these cases alone
-        return _not_faster(found, fastest)
+        return _not_faster(cases, fastest)
     speeds = sorted({round(_speed(case), 4) for case in scenario.cases.values()})
-    wanted = [SLOW_CASE_RATIO * speeds[0], *speeds]
+    speeds_of_poses = [SLOW_CASE_RATIO * speeds[0], *speeds]
     if fastest > speeds[-1]:
-        wanted.append(fastest)
+        speeds_of_poses.append(fastest)
     poses: dict[str, tuple[str, Case, set[float]]] = {}
     for name, case in scenario.cases.items():
         pose = poses.setdefault(_pose(case), (name, case, set()))
         pose[2].add(round(_speed(case), 4))
-    for name, case, has in poses.values():
-        for speed in wanted:
-            if round(speed, 4) not in has:
-                other = _at_speed(case, speed / _speed(case))
-                if _in_time(scenario, other):
-                    found[f"{name}_{1e3 * speed:.0f}mm_s"] = other.model_copy(
+    for name, case, present in poses.values():
+        for speed in speeds_of_poses:
+            if round(speed, 4) not in present:
+                scaled = _at_speed(case, speed / _speed(case))
+                if _in_time(scenario, scaled):
+                    cases[f"{name}_{1e3 * speed:.0f}mm_s"] = scaled.model_copy(
                         update={"label": f"{case.label} at {speed:.2g} m/s"}
                     )
-    return _not_faster(found, fastest)
+    return _not_faster(cases, fastest)
 
 
 def _not_faster(cases: Mapping[str, Case], fastest: float) -> dict[str, Case]:

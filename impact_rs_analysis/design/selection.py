@@ -83,44 +83,44 @@ def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int
     picked: Counts = {}
     total = counts.total(counts.counted)
     freedom = counts.freedom({}) + budget // MIN_REPEATS  # at least so many, whichever trials are chosen
-    here = counts.utility(total, freedom)
-    left = budget
-    while left > 0:
+    utility = counts.utility(total, freedom)
+    budget_left = budget
+    while budget_left > 0:
         gains = []
-        for name, cost in _options(names, measured, picked, left, missing):
+        for name, cost in _options(names, measured, picked, budget_left, missing):
             before = counts.counted.get(name, 0) + picked.get(name, 0)
-            gain = (counts.utility(counts.added(total, name, before, before + cost), freedom) - here) / cost
+            gain = (counts.utility(counts.added(total, name, before, before + cost), freedom) - utility) / cost
             gains.append((gain, name, cost))
         if not gains:
             break
         gain, name, cost = _largest(gains)
-        new = [one for one in gains if one[1] not in measured and one[1] not in picked]
+        new = [option for option in gains if option[1] not in measured and option[1] not in picked]
         if counts.decision.aim == "rivals" and new and _largest(new)[0] >= NEW_CONDITION_GAIN_SHARE * gain:
             _, name, cost = _largest(new)
         picked[name] = picked.get(name, 0) + cost
-        left -= cost
+        budget_left -= cost
         total = counts.total(counts.with_more(picked))
-        here = counts.utility(total, freedom)
+        utility = counts.utility(total, freedom)
     return picked
 
 
 def _largest(gains: Sequence[tuple[float, str, int]]) -> tuple[float, str, int]:
     """The first choice with the largest gain, but for rounding."""
     most = max(gain for gain, _, _ in gains)
-    return next(one for one in gains if one[0] >= most - 1e-9 * abs(most))
+    return next(option for option in gains if option[0] >= most - 1e-9 * abs(most))
 
 
 def _options(
-    names: Sequence[str], measured: Mapping[str, int], picked: Mapping[str, int], left: int, missing: int
+    names: Sequence[str], measured: Mapping[str, int], picked: Mapping[str, int], budget_left: int, missing: int
 ) -> Iterator[tuple[str, int]]:
     """Conditions that may be chosen next, with their number of trials."""
     new = sum(name not in measured for name in picked)
     for name in names:
-        known = name in measured or name in picked
-        if new < missing and known:
+        repeated = name in measured or name in picked
+        if new < missing and repeated:
             continue
-        cost = 1 if known else MIN_REPEATS
-        if cost <= left:
+        cost = 1 if repeated else MIN_REPEATS
+        if cost <= budget_left:
             yield name, cost
 
 
@@ -129,24 +129,24 @@ def _random(
 ) -> Counts:
     names = [trial.name for trial in trials]
     picked: Counts = {}
-    left = budget
-    while options := list(_options(names, measured, picked, left, missing)):
+    budget_left = budget
+    while options := list(_options(names, measured, picked, budget_left, missing)):
         name, cost = options[rng.integers(len(options))]
         picked[name] = picked.get(name, 0) + cost
-        left -= cost
+        budget_left -= cost
     return picked
 
 
 def _fixed(trials: Sequence[ForecastTrial], measured: Mapping[str, int], budget: int) -> Counts:
     """Cases as the scenario files have them, in equal shares; with too few trials for all, spread over them."""
-    own = [trial for trial in trials if trial.trial is not None and trial.trial.of_file] or list(trials)
-    least = 1 if all(trial.name in measured for trial in own) else MIN_REPEATS
-    many = min(len(own), budget // least)
+    of_files = [trial for trial in trials if trial.trial is not None and trial.trial.of_file] or list(trials)
+    least = 1 if all(trial.name in measured for trial in of_files) else MIN_REPEATS
+    many = min(len(of_files), budget // least)
     if not many:
         return {}
-    places = np.unique(np.linspace(0, len(own) - 1, many).round().astype(int))
-    each, more = divmod(budget, len(places))
-    return {own[place].name: each + (number < more) for number, place in enumerate(places)}
+    indices = np.unique(np.linspace(0, len(of_files) - 1, many).round().astype(int))
+    share, more = divmod(budget, len(indices))
+    return {of_files[index].name: share + (number < more) for number, index in enumerate(indices)}
 
 
 def most_informative(counts: Discrimination, trials: Sequence[ForecastTrial]) -> tuple[ForecastTrial, float] | None:
@@ -160,11 +160,11 @@ def most_informative(counts: Discrimination, trials: Sequence[ForecastTrial]) ->
         The trial and its gain [-]; None without trials.
     """
     before = counts.total(counts.counted)
-    known = counts.gains(before)[0][0][0]
+    gain_before = counts.gains(before)[0][0][0]
 
     def gain(trial: ForecastTrial) -> float:
-        there = counts.counted.get(trial.name, 0)
-        return float(counts.gains(counts.added(before, trial.name, there, there + 1))[0][0][0] - known)
+        repeats = counts.counted.get(trial.name, 0)
+        return float(counts.gains(counts.added(before, trial.name, repeats, repeats + 1))[0][0][0] - gain_before)
 
-    found = [(trial, gain(trial)) for trial in sorted(trials, key=lambda one: one.name)]
-    return max(found, key=lambda one: one[1], default=None)
+    candidates = [(trial, gain(trial)) for trial in sorted(trials, key=lambda trial: trial.name)]
+    return max(candidates, key=lambda candidate: candidate[1], default=None)

@@ -30,7 +30,7 @@ from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import Cell, ConditionScore, Level, RecordingDocument, SignalLevel, rounded
 from impact_rs_analysis.evidence.rollouts import RolloutDocument
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.evidence.visited import beyond
+from impact_rs_analysis.evidence.visited import extrapolations
 from impact_rs_analysis.measure.arms import ArmDocument, arms_of, assumptions
 from impact_rs_sim.model import Model
 from impact_rs_sim.schema import Schema, omitted
@@ -109,7 +109,7 @@ def compare(
         skipped=tuple(LeftOut(name=name, reason=why) for name, why in skipped),
         recording=source.recording,
         discrepancy=source.discrepancy_document,
-        remarks=(*source.comparison_remarks, *remarks, *beyond(source), *assumptions(arms)),
+        remarks=(*source.comparison_remarks, *remarks, *extrapolations(source), *assumptions(arms)),
         rollouts=None if rollouts is None else rollouts.document(),
         agreement=agreement_of(source),
     )

@@ -195,7 +195,7 @@ def dependences_of(
     if not choice.pairs:
         return Dependences(source, pairs, choice)
     folds = folds_of(source)
-    results = source.spread(partial(_predicted, chosen, start, pairs, progress), folds, "hold-out of dependences")
+    results = source.distribute(partial(_predicted, chosen, start, pairs, progress), folds, "hold-out of dependences")
     residuals = {
         number: pair_of_residuals
         for fold, (_, by_cluster) in zip(folds, results, strict=True)

@@ -68,7 +68,7 @@ from impact_rs_analysis.diagnosis.verdicts.residuals import (
 from impact_rs_analysis.diagnosis.verdicts.words import not_tried, summary_of
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source, View
-from impact_rs_analysis.evidence.visited import beyond
+from impact_rs_analysis.evidence.visited import extrapolations
 from impact_rs_analysis.measure.arms import arms_of, assumptions
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
@@ -432,7 +432,7 @@ def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> 
 
 
 def _remarks(findings: Findings, source: Source) -> list[str]:
-    remarks = [*source.remarks, *beyond(source), *assumptions(arms_of(source.worlds))]
+    remarks = [*source.remarks, *extrapolations(source), *assumptions(arms_of(source.worlds))]
     null = findings.evidence.null
     if null.shortage is not None:
         remarks.append(f"too few data for a verdict: {null.shortage}")

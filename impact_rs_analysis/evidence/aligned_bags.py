@@ -133,7 +133,7 @@ def _residual(measured: TrackSide, predicted: TrackSide) -> TrackSide:
             pose=_pose_difference(a.pose, b.pose),
             twist=a.twist - b.twist,
         )
-    beside = {name: _pose_difference(own, predicted.neighbours[name]) for name, own in measured.neighbours.items()}
+    beside = {name: _pose_difference(pose, predicted.neighbours[name]) for name, pose in measured.neighbours.items()}
     return TrackSide(arms, _pose_difference(measured.object, predicted.object), neighbours=beside)
 
 

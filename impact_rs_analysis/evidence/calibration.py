@@ -59,17 +59,17 @@ class LaboratoryCalibration:
         if not self:
             return model
         for number, item in enumerate(self.faults.effects):
-            if item.name in {own.name for own in model.effects}:
+            if item.name in {effect.name for effect in model.effects}:
                 raise InputError(
                     f"model {model.name!r} has {item.name} as well, so it would count twice; remove it from one of the "
                     "two files",
                     file=self.file,
                     key=f"effects.{number}.name",
                 )
-        arms, own = model.arms or self.faults.arms, {spec.name: spec for spec in self.faults.formulas}
+        arms = model.arms or self.faults.arms
         if self.faults.arms and self.faults.arms != arms:
             raise InputError(f"other arms than model {model.name!r} has", file=self.file, key="arms")
-        formulas = (*model.formulas, *(spec for name, spec in own.items() if name not in model.known_effects))
+        formulas = (*model.formulas, *(spec for spec in self.faults.formulas if spec.name not in model.known_effects))
         whole = {"effects": (*model.effects, *self.faults.effects), "formulas": formulas, "arms": arms}
         return check_model(model.model_copy(update=whole), self.file or CALIBRATION)
 
@@ -99,19 +99,19 @@ def file_beside(data: Path) -> Path:
     return (data.parent if data.is_file() else data) / CALIBRATION
 
 
-def calibration_of(data: Path, given: str | Path | None = None) -> LaboratoryCalibration:
+def calibration_of(data: Path, file: str | Path | None = None) -> LaboratoryCalibration:
     """The calibration of measurements; empty where there is no file.
 
     Args:
         data: Folder of the measurements, or one of its files.
-        given: File to be read in place of the one beside the data; ``nominal`` has no effects.
+        file: File to be read in place of the one beside the data; ``nominal`` has no effects.
 
     Raises:
         InputError: The file given is missing; it is no model file; it has an effect of the physics.
     """
-    if given is None:
+    if file is None:
         return calibration_in(file_beside(data))
-    return LaboratoryCalibration(check_faults(load_model(given), given), Path(given))
+    return LaboratoryCalibration(check_faults(load_model(file), file), Path(file))
 
 
 def calibration_in(file: Path) -> LaboratoryCalibration:
@@ -164,12 +164,12 @@ def with_intervals(source: Source, clusters: Sequence[Cluster]) -> tuple[Cluster
         source.differences(range(len(clusters)), (), added, "intervals of the calibration") for added in deviations
     ]
     before = max((0 if item.calibrations is None else len(item.calibrations) for item in clusters), default=0)
-    found = []
+    extended = []
     for number, item in enumerate(clusters):
-        known = np.zeros((before, item.sigma.size)) if item.calibrations is None else item.calibrations
+        systematic = np.zeros((before, item.sigma.size)) if item.calibrations is None else item.calibrations
         rows = [_moved(change[number], item.sigma) for change in moved]
-        found.append(replace(item, calibrations=np.vstack([known, *rows])))
-    return tuple(found)
+        extended.append(replace(item, calibrations=np.vstack([systematic, *rows])))
+    return tuple(extended)
 
 
 def _moved(change: Array | None, sigma: Array) -> Array:
@@ -179,7 +179,7 @@ def _moved(change: Array | None, sigma: Array) -> Array:
 
 def _deviations(source: Source) -> list[Added]:
     """One standard deviation of every parameter of a fault that has an interval, as an effect on top of the model."""
-    found: list[Added] = []
+    deviations: list[Added] = []
     declared = source.declared_model.effects
     for item in source.model.effects:
         effect = source.model.effect_of(item)
@@ -190,7 +190,7 @@ def _deviations(source: Source) -> list[Added]:
             value = item.parameters.get(scalar.name)
             if value is None or value.ci95 is None or value.ci95[0] == value.ci95[1]:
                 continue
-            vector = [one.nominal for one in scalars]
+            vector = [s.nominal for s in scalars]
             vector[number] += (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)
-            found.append(((item.name, tuple(vector)),))
-    return found
+            deviations.append(((item.name, tuple(vector)),))
+    return deviations

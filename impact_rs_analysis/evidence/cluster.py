@@ -130,32 +130,32 @@ class Cluster:
     @property
     def shared_discrepancy(self) -> Array:
         """Factor of the discrepancy that all clusters of a group share, ``(k, F)`` [-]."""
-        return np.asarray(math.sqrt(SHARED_DISCREPANCY_SHARE) * self._whole_discrepancy)
+        return np.asarray(math.sqrt(SHARED_DISCREPANCY_SHARE) * self._full_discrepancy)
 
     @property
-    def own_discrepancy(self) -> Array:
+    def unshared_discrepancy(self) -> Array:
         """Factor of the discrepancy of this cluster alone, ``(k, F)`` [-]."""
-        return np.asarray(math.sqrt(1.0 - SHARED_DISCREPANCY_SHARE) * self._whole_discrepancy)
+        return np.asarray(math.sqrt(1.0 - SHARED_DISCREPANCY_SHARE) * self._full_discrepancy)
 
     @cached_property
-    def _whole_discrepancy(self) -> Array:
+    def _full_discrepancy(self) -> Array:
         """Factor of the discrepancy along its patterns and outside them, ``(k, F)`` [-]."""
         outside = math.sqrt(INDEPENDENT_DISCREPANCY_SHARE) * np.diag(self.discrepancy)
-        found = self.discrepancy_factor if self.patterns is None else np.vstack((self.patterns, outside))
-        return DISCREPANCY_QUANTILE_RATIO * found
+        factor = self.discrepancy_factor if self.patterns is None else np.vstack((self.patterns, outside))
+        return DISCREPANCY_QUANTILE_RATIO * factor
 
-    def only(self, kept: Sequence[bool], contact: bool) -> Cluster:
+    def only(self, mask: Sequence[bool], contact: bool) -> Cluster:
         """The cluster with some of its features.
 
         Args:
-            kept: Mask of the features, ``F``.
+            mask: Mask of the features, ``F``.
             contact: Whether these features include a contact.
         """
-        rows = np.array(kept)
+        rows = np.array(mask)
         return replace(
             self,
             contact=contact,
-            features=tuple(feature for feature, keep in zip(self.features, kept, strict=True) if keep),
+            features=tuple(feature for feature, keep in zip(self.features, mask, strict=True) if keep),
             residuals=self.residuals[:, rows],
             sigma=self.sigma[rows],
             pure_error=self.pure_error[rows],
@@ -167,9 +167,9 @@ class Cluster:
     @cached_property
     def mean(self) -> Array:
         """Mean over the repeats, ``(F,)`` [-]; read-only."""
-        found = np.asarray(self.residuals.mean(axis=0))
-        found.flags.writeable = False
-        return found
+        mean = np.asarray(self.residuals.mean(axis=0))
+        mean.flags.writeable = False
+        return mean
 
     @property
     def error(self) -> float:

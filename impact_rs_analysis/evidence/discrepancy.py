@@ -50,8 +50,8 @@ class DiscrepancyEntry(Schema):
 
     def of_bin(self, number: int) -> float:
         """Discrepancy of one time bin, in the unit: rms of the signal's and of the bin's value."""
-        own = self.by_bin[number] if number < len(self.by_bin) else self.value
-        return float(np.sqrt(0.5 * (self.value**2 + own**2)))
+        bin_value = self.by_bin[number] if number < len(self.by_bin) else self.value
+        return float(np.sqrt(0.5 * (self.value**2 + bin_value**2)))
 
 
 class Patterns(Schema):
@@ -96,30 +96,30 @@ class Discrepancy(Schema):
             features: The features; each of several arms has the discrepancy of one arm.
             kind: Kind of their runs.
         """
-        known = {(e.phase, e.signal, e.index): e for e in self.entries if e.kind == kind}
-        found = []
+        entries = {(e.phase, e.signal, e.index): e for e in self.entries if e.kind == kind}
+        values = []
         for feature in features:
-            entry = known.get((feature.phase, feature.signal, feature.index.rsplit(".", 1)[-1]))
-            found.append(0.0 if entry is None else entry.of_bin(feature.bin))
-        return np.array(found)
+            entry = entries.get((feature.phase, feature.signal, feature.index.rsplit(".", 1)[-1]))
+            values.append(0.0 if entry is None else entry.of_bin(feature.bin))
+        return np.array(values)
 
     def patterns_of(self, features: Sequence[Feature], kind: Kind) -> Array | None:
         """Patterns of the discrepancy over features, ``(k, F)`` in their units; None if there are none.
 
         The squares of a column add up to the square of :meth:`of`. A feature in no pattern is independent.
         """
-        known = next((table for table in self.patterns if table.kind == kind), None)
-        if known is None:
+        table = next((table for table in self.patterns if table.kind == kind), None)
+        if table is None:
             return None
         size = self.of(features, kind)
-        places = {feature: column for column, feature in enumerate(known.features)}
-        columns = [places.get((f.phase, f.signal, f.index.rsplit(".", 1)[-1], f.bin)) for f in features]
-        rows = np.array(known.rows)
-        found = np.array([np.zeros(len(rows)) if column is None else rows[:, column] for column in columns]).T
-        norms = np.sqrt(np.square(found).sum(axis=0))
-        found *= np.divide(size, norms, out=np.zeros_like(norms), where=norms > 0.0)
+        column_of = {feature: column for column, feature in enumerate(table.features)}
+        columns = [column_of.get((f.phase, f.signal, f.index.rsplit(".", 1)[-1], f.bin)) for f in features]
+        rows = np.array(table.rows)
+        patterns = np.array([np.zeros(len(rows)) if column is None else rows[:, column] for column in columns]).T
+        norms = np.sqrt(np.square(patterns).sum(axis=0))
+        patterns *= np.divide(size, norms, out=np.zeros_like(norms), where=norms > 0.0)
         alone = np.diag(np.where(norms > 0.0, 0.0, size))
-        return np.vstack((found, alone[np.any(alone > 0.0, axis=1)]))
+        return np.vstack((patterns, alone[np.any(alone > 0.0, axis=1)]))
 
     @property
     def document(self) -> DiscrepancyDocument:
@@ -148,8 +148,8 @@ def measured_discrepancy() -> Discrepancy:
     Raises:
         InputError: ``config/discrepancy.yaml`` breaks the schema.
     """
-    found = load(Discrepancy, config_directory() / DISCREPANCY_FILE)
-    return found.model_copy(update={"patterns": tuple(read_patterns(config_directory() / PATTERNS_FILE))})
+    discrepancy = load(Discrepancy, config_directory() / DISCREPANCY_FILE)
+    return discrepancy.model_copy(update={"patterns": tuple(read_patterns(config_directory() / PATTERNS_FILE))})
 
 
 def read_patterns(path: Path) -> list[Patterns]:

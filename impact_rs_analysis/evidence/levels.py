@@ -157,9 +157,9 @@ def expected_of(item: Cluster, by_limit: bool = False) -> Array:
         item: The cluster.
         by_limit: Whether the unit is the relevance limit, because nothing was repeated.
     """
-    known = np.sqrt(item.expected_squares) if np.any(item.pure_error > 0.0) else np.zeros_like(item.sigma)
+    repeatability = np.sqrt(item.expected_squares) if np.any(item.pure_error > 0.0) else np.zeros_like(item.sigma)
     limits = np.array([feature.relevance_limit for feature in item.features]) / item.sigma
-    noise = np.where(limits > 0.0, limits, known) if by_limit else known
+    noise = np.where(limits > 0.0, limits, repeatability) if by_limit else repeatability
     return np.where(noise > 0.0, noise, 1.0)
 
 
@@ -186,8 +186,8 @@ def level_of(what: str, clusters: Sequence[Cluster], phases: tuple[str, ...], by
         phases: Phases of the signals; none: all.
         by_limit: Whether differences are multiples of the relevance limit, because nothing was repeated.
     """
-    signals, every = signal_levels(clusters, phases, by_limit=by_limit)
-    return Level(what=what, times_noise=rounded(root_mean_square(every)), signals=tuple(signals))
+    signals, ratios = signal_levels(clusters, phases, by_limit=by_limit)
+    return Level(what=what, times_noise=rounded(root_mean_square(ratios)), signals=tuple(signals))
 
 
 def signal_levels(
@@ -202,10 +202,10 @@ def signal_levels(
         by_limit: Whether differences are multiples of the relevance limit, because nothing was repeated.
     """
     several = len({feature.arm for item in clusters for feature in item.features if feature.arm}) > 1
-    found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float, float, float]]] = {}
+    rows_of_signal: dict[tuple[str, str, str, str, str], list[tuple[float, float, float, float, float]]] = {}
     for item in clusters:
         expected = expected_of(item, by_limit)
-        for feature, mean, sigma, pure, own, noise in zip(
+        for feature, mean, sigma, pure, systematic, noise in zip(
             item.features, item.mean, item.sigma, item.pure_error, item.discrepancy, expected, strict=True
         ):
             joint = feature.index.rsplit(".", 1)[-1]
@@ -213,11 +213,11 @@ def signal_levels(
                 arm, joint = feature.arm if several else "", joint if by_joint else ""
                 key = (arm, feature.phase, feature.signal, joint, feature.unit)
                 noise_of_mean = float(pure * sigma) / item.count**0.5
-                row = (float(mean * sigma), noise_of_mean, float(own * sigma), feature.relevance_limit)
-                found.setdefault(key, []).append((*row, float(mean / noise)))
+                row = (float(mean * sigma), noise_of_mean, float(systematic * sigma), feature.relevance_limit)
+                rows_of_signal.setdefault(key, []).append((*row, float(mean / noise)))
     signals = []
-    for (arm, phase, signal, joint, unit), rows in found.items():
-        error, noise, own, limit, scaled = (root_mean_square(column) for column in zip(*rows, strict=True))
+    for (arm, phase, signal, joint, unit), rows in rows_of_signal.items():
+        error, noise, discrepancy, limit, scaled = (root_mean_square(column) for column in zip(*rows, strict=True))
         signals.append(
             SignalLevel(
                 phase=phase,
@@ -226,13 +226,13 @@ def signal_levels(
                 arm=arm,
                 error=rounded(error),
                 noise_floor=rounded(noise),
-                discrepancy=rounded(own),
+                discrepancy=rounded(discrepancy),
                 floor=rounded(limit),
                 unit=unit,
                 times_noise=rounded(scaled),
             )
         )
-    return signals, [row[-1] for rows in found.values() for row in rows]
+    return signals, [row[-1] for rows in rows_of_signal.values() for row in rows]
 
 
 def where_of(clusters: Sequence[Cluster], by_limit: bool = False) -> list[Cell]:
@@ -243,15 +243,15 @@ def where_of(clusters: Sequence[Cluster], by_limit: bool = False) -> list[Cell]:
         by_limit: Whether they are multiples of the relevance limit, because nothing was repeated.
     """
     total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
-    found: dict[tuple[str, ...], list[tuple[float, float, float, str, float, float]]] = {}
+    rows_of_signal: dict[tuple[str, ...], list[tuple[float, float, float, str, float, float]]] = {}
     for item in clusters:
         noise, relevant = expected_of(item, by_limit), relevant_of(item, by_limit)
-        for feature, mean, sigma, own, most in zip(item.features, item.mean, item.sigma, noise, relevant, strict=True):
+        for feature, mean, sigma, unit, most in zip(item.features, item.mean, item.sigma, noise, relevant, strict=True):
             limit = feature.relevance_limit
-            row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, limit, float(mean / most))
-            found.setdefault((*item.condition_key, *feature.group), []).append(row)
+            row = (float(mean / unit), float(mean * sigma), float(mean), feature.unit, limit, float(mean / most))
+            rows_of_signal.setdefault((*item.condition_key, *feature.group), []).append(row)
     cells = []
-    for (scenario, object_name, case, phase, signal, index), rows in found.items():
+    for (scenario, object_name, case, phase, signal, index), rows in rows_of_signal.items():
         worst = max(rows, key=lambda row: abs(row[0]))
         cells.append(
             Cell(
@@ -278,17 +278,17 @@ def where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
     Errors are root mean squares with the sign of the mean.
     """
     total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
-    found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float, float]]] = {}
+    rows_of_signal: dict[tuple[str, str, str, str, str], list[tuple[float, float, float, float]]] = {}
     facts: dict[tuple[str, str, str], tuple[str, float]] = {}
     for item in clusters:
         for feature, mean, sigma, noise, most in zip(
             item.features, item.mean, item.sigma, expected_of(item), relevant_of(item), strict=True
         ):
             row = (float(mean * sigma), float(mean), float(mean / noise), float(mean / most))
-            found.setdefault((*item.condition_key[:2], *feature.group), []).append(row)
+            rows_of_signal.setdefault((*item.condition_key[:2], *feature.group), []).append(row)
             facts[feature.group] = feature.unit, feature.relevance_limit
     cells = []
-    for (file, object_name, *group), rows in found.items():
+    for (file, object_name, *group), rows in rows_of_signal.items():
         phase, signal, index = group
         error, scaled, times, relevant = np.array(rows).T
         unit, limit = facts[phase, signal, index]

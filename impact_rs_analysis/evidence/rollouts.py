@@ -112,11 +112,11 @@ class FreeMotion:
         arm, law = physics.arms[self.arm], self.servo
         readings, late = arm.readings, _command_delay(arm)
         targets = np.hstack((self.q_desired, self.dq_desired))
-        wanted = scipy.interpolate.make_interp_spline(self.torque_time, targets, k=1)
+        desired = scipy.interpolate.make_interp_spline(self.torque_time, targets, k=1)
 
         def torque(time: Array, q: Array, dq: Array) -> Array:
             moments = np.clip(time - late, self.torque_time[0], self.torque_time[-1])
-            target, rate = np.split(wanted(moments), 2, axis=-1)
+            target, rate = np.split(desired(moments), 2, axis=-1)
             speed = dq * readings.position_scale * readings.velocity_gain
             return np.asarray(
                 arm.torque_gain * law.torque(readings.position(q), speed, target, rate) + arm.torque_offset
@@ -145,7 +145,7 @@ class FreeMotion:
             return np.zeros((len(edges) - 1, edges.shape[1], self.q_desired.shape[1]))
         if self.commanded:
             sent = self.torque_time + _command_delay(arm)
-            mean = np.stack([held_means(sent, self.torque, own) for own in edges.T], axis=1)
+            mean = np.stack([held_means(sent, self.torque, rollout_edges) for rollout_edges in edges.T], axis=1)
         else:
             rate = np.gradient(self.torque, self.torque_time, axis=0)
             torque = arm.readings.torque_of(self.torque, rate, self.age)
@@ -260,11 +260,11 @@ class RolloutDocument(Schema):
     @property
     def in_words(self) -> str:
         """Errors at all horizons in one line."""
-        tool = " / ".join(f"{shown(one.tool_mm)}" for one in self.horizons)
-        angle = " / ".join(f"{shown(one.tool_deg)}" for one in self.horizons)
-        number, worst = max(enumerate(self.last.joints), key=lambda one: one[1].error)
-        joint = " / ".join(shown(one.joints[number].error) for one in self.horizons)
-        time = " / ".join(f"{one.horizon_s:g}" for one in self.horizons)
+        tool = " / ".join(f"{shown(horizon.tool_mm)}" for horizon in self.horizons)
+        angle = " / ".join(f"{shown(horizon.tool_deg)}" for horizon in self.horizons)
+        number, worst = max(enumerate(self.last.joints), key=lambda joint: joint[1].error)
+        joint = " / ".join(shown(horizon.joints[number].error) for horizon in self.horizons)
+        time = " / ".join(f"{horizon.horizon_s:g}" for horizon in self.horizons)
         text = (
             f"rollouts in {self.loop} from {self.starts} measured states, after {time} s: tool off by "
             f"{tool} mm and {angle} deg, {worst.joint} by {joint} {worst.unit} (rms)"
@@ -274,9 +274,9 @@ class RolloutDocument(Schema):
     @property
     def diverged_in_words(self) -> str:
         """How many are in no error, and which horizon none reaches; empty: all reach all."""
-        gone = f"{self.diverged} of {self.starts} have {DIVERGED} and are left out" if self.diverged else ""
+        diverged = f"{self.diverged} of {self.starts} have {DIVERGED} and are left out" if self.diverged else ""
         after = f"after {self.all_diverged_after_s:g} s all have {DIVERGED}" if self.all_diverged_after_s else ""
-        return "; ".join(filter(None, [gone, after]))
+        return "; ".join(filter(None, [diverged, after]))
 
 
 @dataclass(frozen=True)
@@ -327,7 +327,8 @@ class Rollouts:
     @property
     def rows(self) -> list[int]:
         """Rows of the horizons that the data allow, among the moments."""
-        return [int(np.argmin(np.abs(self.time - one))) for one in HORIZONS_S if one <= self.time[-1] + 1e-9]
+        reached = [horizon for horizon in HORIZONS_S if horizon <= self.time[-1] + 1e-9]
+        return [int(np.argmin(np.abs(self.time - horizon))) for horizon in reached]
 
     @property
     def _joint_growth(self) -> Array:
@@ -357,18 +358,18 @@ class Rollouts:
 
     def _joints(self, row: int) -> list[JointRollout]:
         """Errors of the joints of all arms after a horizon."""
-        found = []
+        joints = []
         kinds = {part.arm: part.kinds for part in self.parts}
-        for arm, own in kinds.items():
+        for arm, joint_kinds in kinds.items():
             parts = [part for part in self.parts if part.arm == arm]
             errors, torques = (
                 np.concatenate([getattr(part, name)[row] for part in parts]) for name in ("joints", "torque")
             )
             valid = np.isfinite(errors).all(axis=1)
-            for number, kind in enumerate(own):
+            for number, kind in enumerate(joint_kinds):
                 factor, unit = SHOWN_UNITS[kind]
                 error = factor * errors[valid, number]
-                found.append(
+                joints.append(
                     JointRollout(
                         joint=f"{arm + '.' if len(kinds) > 1 else ''}joint{number + 1}",
                         error=rounded(float(_rms(error))),
@@ -377,7 +378,7 @@ class Rollouts:
                         as_torque=rounded(float(_rms(torques[valid, number]))),
                     )
                 )
-        return found
+        return joints
 
 
 def _rms(values: Array) -> Array:
@@ -396,10 +397,11 @@ def _growth(time: Array, log_error: Array) -> tuple[float | None, float | None, 
     rows = (time >= HORIZONS_S[0] - 1e-9) & np.isfinite(log_error)
     if np.count_nonzero(rows) < 3:
         return None, None, None
-    wanted, moments = log_error[rows], time[rows]
-    (power, _), rest, *_ = np.polyfit(np.log(moments), wanted, 1, full=True)
-    (rate, _), other, *_ = np.polyfit(moments, wanted, 1, full=True)
-    return rounded(float(power)), rounded(float(rate)), "power" if rest.sum() <= other.sum() else "exponential"
+    log_error, time = log_error[rows], time[rows]
+    (exponent, _), of_power, *_ = np.polyfit(np.log(time), log_error, 1, full=True)
+    (rate, _), of_exponential, *_ = np.polyfit(time, log_error, 1, full=True)
+    law: Literal["power", "exponential"] = "power" if of_power.sum() <= of_exponential.sum() else "exponential"
+    return rounded(float(exponent)), rounded(float(rate)), law
 
 
 def starts_of(motions: Sequence[FreeMotion]) -> tuple[float, list[Array]]:
@@ -459,8 +461,8 @@ def rolled_out(
     edges = starts + step * np.arange(steps + 1)[:, None]
     with np.errstate(all="ignore"):  # a rollout may diverge
         path, _ = dynamics.motion(starts, q, dq, motion.driving(edges, physics), step, motion.servos(physics))
-    every = round(STEPS_PER_ERROR * STEP_S / step)
-    path, moments = path[every::every], edges[every::every]
+    stride = round(STEPS_PER_ERROR * STEP_S / step)
+    path, moments = path[stride::stride], edges[stride::stride]
     measured, _ = motion.states(moments, readings)
     error, after = path - measured, moments - starts
     limits = [MAX_JOINT_ERROR[kind] for kind in arm.facts.joint_types]
@@ -491,21 +493,21 @@ def _substeps(step: float, servo: ServoLaw, inertia: Array) -> int:
 def _tool_errors(dynamics: ForwardDynamics, predicted: Array, measured: Array) -> tuple[Array, Array]:
     """Distance and angle between predicted and measured frame E, ``(T, S)`` each [m, rad]."""
     distance, angle = np.full(predicted.shape[:2], np.nan), np.full(predicted.shape[:2], np.nan)
-    for place in np.ndindex(distance.shape):
-        if np.isfinite(predicted[place]).all():
-            one, other = dynamics.model.placement(predicted[place]), dynamics.model.placement(measured[place])
-            distance[place] = np.linalg.norm(one.translation - other.translation)
-            angle[place] = np.linalg.norm(pin.log3(one.rotation.T @ other.rotation))
+    for index in np.ndindex(distance.shape):
+        if np.isfinite(predicted[index]).all():
+            a, b = (dynamics.model.placement(q[index]) for q in (predicted, measured))
+            distance[index] = np.linalg.norm(a.translation - b.translation)
+            angle[index] = np.linalg.norm(pin.log3(a.rotation.T @ b.rotation))
     return distance, angle
 
 
 def _apart(starts: Array, horizon: float) -> NDArray[np.bool_]:
     """Starts whose rollouts do not overlap, from the first on, ``(S,)``."""
-    found, free_from = np.zeros(starts.size, dtype=bool), -np.inf
+    apart, free_from = np.zeros(starts.size, dtype=bool), -np.inf
     for number, start in enumerate(starts):
         if start >= free_from - 1e-9:
-            found[number], free_from = True, start + horizon
-    return found
+            apart[number], free_from = True, start + horizon
+    return apart
 
 
 def rollouts_of(motions: Sequence[FreeMotion], physics: Sequence[Physics] | None = None) -> Rollouts | None:
@@ -522,22 +524,22 @@ def rollouts_of(motions: Sequence[FreeMotion], physics: Sequence[Physics] | None
     of = [motion.physics for motion in motions] if physics is None else physics
     parts = [
         part
-        for motion, own, world in zip(motions, starts, of, strict=True)
-        if (part := rolled_out(motion, own, horizon, world)) is not None
+        for motion, motion_starts, world in zip(motions, starts, of, strict=True)
+        if (part := rolled_out(motion, motion_starts, horizon, world)) is not None
     ]
     step = STEPS_PER_ERROR * STEP_S
-    ends = [round(one / step) for one in HORIZONS_S if one <= horizon]
+    ends = [round(horizon_s / step) for horizon_s in HORIZONS_S if horizon_s <= horizon]
     reached = [end for end in ends if _all_reach(parts, end - 1)]
     if not reached:
         return None
-    last, gone = reached[-1], next((step * end for end in ends if end > reached[-1]), None)
-    return Rollouts(step * np.arange(1.0, last + 1), tuple(part.until(last) for part in parts), gone)
+    last, all_diverged_after = reached[-1], next((step * end for end in ends if end > reached[-1]), None)
+    return Rollouts(step * np.arange(1.0, last + 1), tuple(part.until(last) for part in parts), all_diverged_after)
 
 
 def _all_reach(parts: Sequence[RolledOut], row: int) -> bool:
     """Whether some rollout of every arm has not diverged at a moment."""
-    left = {part.arm for part in parts if np.isfinite(part.tool[row]).any()}
-    return left == {part.arm for part in parts}
+    reaching = {part.arm for part in parts if np.isfinite(part.tool[row]).any()}
+    return reaching == {part.arm for part in parts}
 
 
 def free_of_contact(run: Run, impacts: Mapping[str, float], physics: Physics, age: float = 0.0) -> list[FreeMotion]:
@@ -552,13 +554,13 @@ def free_of_contact(run: Run, impacts: Mapping[str, float], physics: Physics, ag
     time, width = run.signals.time, START_FIT_HALF_WIDTH_S
     begin, end = float(time[0]) + width, min([*impacts.values(), float(time[-1])]) - width
     window = 1 + 2 * max(2, round(width / run.period))
-    found = []
+    motions = []
     for name, arm in run.signals.arms.items():
         position = scipy.signal.savgol_filter(arm.position, window, 3, axis=0)
         velocity = scipy.signal.savgol_filter(arm.velocity, window, 2, axis=0)
         slope = scipy.signal.savgol_filter(arm.velocity, window, 2, deriv=1, delta=run.period, axis=0)
         sent, torque = (arm.command_time, arm.command) if run.commanded else (time, arm.torque)
-        found.append(
+        motions.append(
             FreeMotion(
                 arm=name,
                 physics=physics,
@@ -576,7 +578,7 @@ def free_of_contact(run: Run, impacts: Mapping[str, float], physics: Physics, ag
                 age=age,
             )
         )
-    return found
+    return motions
 
 
 def without(motion: FreeMotion, gaps: Sequence[tuple[float, float]]) -> list[FreeMotion]:

@@ -29,7 +29,7 @@ from impact_rs_trials.workers import Map
 MAX_NUMBERS_AS_LEVELS = 8  # different numbers of a covariate that may be names, as of sessions 1 to 5
 
 Item = TypeVar("Item")
-Made = TypeVar("Made")
+Output = TypeVar("Output")
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Source(ABC):
         discrepancy: Model discrepancy.
         size_is: Definition of :meth:`size`.
         not_measured: Quantities that were not measured.
-        noise_apart: Whether every joint has an unknown noise of its own, so that gains are also judged joint by joint.
+        noise_by_joint: Whether the noise of every joint is unknown, so that gains are also judged joint by joint.
         residual_unit: Unit of the size of residuals without repeats.
         size_unit: Unit of :meth:`size`.
         pieces: Name of the clusters without repeats, plural.
@@ -161,7 +161,7 @@ class Source(ABC):
     size_is: str = "size of the difference between measurement and model, in multiples of repeatability"
     not_measured: tuple[str, ...] = ()
     impossible: str = ""
-    noise_apart: bool = False
+    noise_by_joint: bool = False
     residual_unit: str = "N m"
     size_unit: str = TIMES
     pieces: str = "stretches of time"
@@ -184,9 +184,9 @@ class Source(ABC):
     @property
     def declared_model(self) -> Model:
         """The model without the effect that the impacts require."""
-        added = {one.item.name for one in self.required[:1]}
-        kept = tuple(item for item in self.model.effects if item.name not in added)
-        return self.model.model_copy(update={"effects": kept}) if added else self.model
+        added = {required.item.name for required in self.required[:1]}
+        effects = tuple(item for item in self.model.effects if item.name not in added)
+        return self.model.model_copy(update={"effects": effects}) if added else self.model
 
     def size_by_declared_model(self, added: Added) -> float | None:
         """Size of all residuals by the declared model with effects; None: some replay hits nothing."""
@@ -239,9 +239,9 @@ class Source(ABC):
         Raises:
             InputError: Arms with different joints have the same name.
         """
-        found = {(name, joints) for world in self.worlds for name, joints in world.arm_joints}
-        if not self.model.arms and len({joints for _, joints in found}) > 1:
-            arms = ", ".join(f"{name} with {len(joints)} joints" for name, joints in sorted(found))
+        joints_of_arms = {(name, joints) for world in self.worlds for name, joints in world.arm_joints}
+        if not self.model.arms and len({joints for _, joints in joints_of_arms}) > 1:
+            arms = ", ".join(f"{name} with {len(joints)} joints" for name, joints in sorted(joints_of_arms))
             raise InputError(f"arms {arms}: parameters carry the name of their arm; expected another name for each")
         arm = next(iter(self.physics.arms.values()), None)
         return () if arm is None else arm.facts.joint_types
@@ -264,47 +264,49 @@ class Source(ABC):
         """Factors from scaled residuals to ``residual_unit``, without repeats, ``(F,)``."""
         return item.sigma
 
-    def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
+    def distribute(
+        self, function: Callable[[Source, Item], Output], items: Sequence[Item], purpose: str
+    ) -> list[Output]:
         """``function(source, item)`` of every item, in parallel processes if predictions are expensive.
 
         Args:
             function: A pure function that can be pickled.
             items: Arguments.
-            what: Purpose, shown as progress.
+            purpose: Purpose, shown as progress.
         """
-        found = []
-        self.report(what, 0, len(items))
+        results = []
+        self.report(purpose, 0, len(items))
         for item in items:
-            found.append(function(self, item))
-            self.report(what, len(found), len(items))
-        return found
+            results.append(function(self, item))
+            self.report(purpose, len(results), len(items))
+        return results
 
     @abstractmethod
-    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+    def predict(self, requests: Sequence[tuple[int, Added]], purpose: str) -> list[Array | None]:
         """Features, in their units, of clusters under the model with added effects.
 
         Args:
-            wanted: Index of the cluster, and the added effects.
-            what: Purpose, shown as progress.
+            requests: Index of the cluster, and the added effects.
+            purpose: Purpose, shown as progress.
 
         Returns:
             ``(F,)`` each; None if a contact is missing, or if the effects give a body without positive inertia.
         """
 
-    def differences(self, numbers: Sequence[int], before: Added, after: Added, what: str) -> list[Array | None]:
+    def differences(self, numbers: Sequence[int], before: Added, after: Added, purpose: str) -> list[Array | None]:
         """Change of features with a change of effects, in their units.
 
         Args:
             numbers: Numbers of the clusters.
             before: Added effects before.
             after: Added effects after.
-            what: Purpose, shown as progress.
+            purpose: Purpose, shown as progress.
 
         Returns:
             ``(F,)`` each; None where one of the two cannot be predicted.
         """
-        found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
-        return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
+        predicted = self.predict([(number, added) for added in (before, after) for number in numbers], purpose)
+        return [difference(a, b) for a, b in zip(predicted[: len(numbers)], predicted[len(numbers) :], strict=True)]
 
     @property
     def known_effects(self) -> dict[str, Effect]:
@@ -313,7 +315,8 @@ class Source(ABC):
 
     def offers(self, effect: Effect) -> bool:
         """Whether a search considers an effect; those of the bare arm need recordings, those of neighbours some."""
-        return not effect.calibrates and (effect.acts_on != "neighbour" or any(one.neighbours for one in self.worlds))
+        has_neighbours = any(world.neighbours for world in self.worlds)
+        return not effect.calibrates and (effect.acts_on != "neighbour" or has_neighbours)
 
     def starts(self, name: str) -> Sequence[Array]:
         """Further starts ``(p,)`` of the fit of an effect, suggested by the measurements."""
@@ -360,13 +363,13 @@ class Source(ABC):
         del map_tasks, added
         return ()
 
-    def joint_sizes(self, rest: Sequence[Array]) -> list[tuple[str, float, float, str]]:
+    def joint_sizes(self, residuals: Sequence[Array]) -> list[tuple[str, float, float, str]]:
         """Joint, root mean square of its residual torque, noise and unit, for recordings of one arm.
 
         Args:
-            rest: Residuals by cluster, ``(F,)`` [-].
+            residuals: Residuals by cluster, ``(F,)`` [-].
         """
-        del rest
+        del residuals
         return []
 
     def free_motions(self, numbers: Sequence[int] | None = None) -> tuple[FreeMotion, ...]:
@@ -416,20 +419,20 @@ def with_per_arm_parameters(model: Model, worlds: Iterable[Physics], each_arm: b
     Raises:
         InputError: ``each_arm``, and one name stands for several robots.
     """
-    found: dict[str, list[RobotFacts]] = {}
+    kinds_of_arm: dict[str, list[RobotFacts]] = {}
     for physics in worlds:
         for name, arm in physics.arms.items():
-            kinds = found.setdefault(name, [])
+            kinds = kinds_of_arm.setdefault(name, [])
             if arm.facts not in kinds:
                 kinds.append(arm.facts)
-    several = [name for name, kinds in found.items() if len(kinds) > 1]
+    several = [name for name, kinds in kinds_of_arm.items() if len(kinds) > 1]
     if each_arm and several:
         raise InputError(f"arm {several[0]!r} is another robot in another scenario; expected another name for each")
-    first = next(iter(found.values()), [])
-    alike = all(kinds == first for kinds in found.values())
+    first = next(iter(kinds_of_arm.values()), [])
+    alike = all(kinds == first for kinds in kinds_of_arm.values())
     if model.arms or several or (alike and not each_arm):
         return model
-    return model.model_copy(update={"arms": {name: _joints_of(kinds[0]) for name, kinds in found.items()}})
+    return model.model_copy(update={"arms": {name: _joints_of(kinds[0]) for name, kinds in kinds_of_arm.items()}})
 
 
 def _joints_of(facts: RobotFacts) -> Joints:

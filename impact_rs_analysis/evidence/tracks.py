@@ -60,13 +60,13 @@ class VelocityJump:
 
     Attributes:
         body: Name of the arm, whose end effector it is, or ``object``.
-        place: Position of the body at the begin of the impact, in A, ``(3,)`` [m].
+        position: Position of the body at the begin of the impact, in A, ``(3,)`` [m].
         before: Velocity 18 to 3 ms before it, in A, ``(3,)`` [m/s].
         after: Velocity 20 to 40 ms after it, of the object 6 to 40 ms, in A, ``(3,)`` [m/s].
     """
 
     body: str
-    place: Array
+    position: Array
     before: Array
     after: Array
 
@@ -192,9 +192,9 @@ def _windowed_side(run: MeasuredRun, windows: Sequence[Signals], time: Array, st
     for window, signals in zip(run.setup.windows, windows, strict=True):
         resting = (window.object, *standing(run.setup.physics, window.object))
         for name, body in zip(run.setup.physics.bodies, resting, strict=True):
-            pose = _unseen(window.time)
+            pose = _untracked(window.time)
             if name in run.setup.bodies and window.contact:  # the tracker is slower than the joints
-                pose = _held(_poses_at(window.time, signals.poses[name]))
+                pose = _extended(_poses_at(window.time, signals.poses[name]))
             elif name in run.setup.bodies:
                 pose[:] = [*body.position, *quaternion_of(body.rotation)]
             poses.setdefault(name, []).append(pose)
@@ -202,40 +202,40 @@ def _windowed_side(run: MeasuredRun, windows: Sequence[Signals], time: Array, st
     return _side(run.setup.physics, time, starts, arms, whole, run.impacts)
 
 
-def _held(poses: Array) -> Array:
+def _extended(poses: Array) -> Array:
     """Poses, with the first and last tracked pose held beyond the ends."""
-    seen = np.flatnonzero(np.isfinite(poses[:, 0]))
-    return poses[np.clip(np.arange(len(poses)), seen[0], seen[-1])] if seen.size else poses
+    tracked = np.flatnonzero(np.isfinite(poses[:, 0]))
+    return poses[np.clip(np.arange(len(poses)), tracked[0], tracked[-1])] if tracked.size else poses
 
 
 def _curves(track: Track, measured: TrackSide, predicted: TrackSide, main: int) -> list[ComparedSignal]:
     """Signals of a run: end effectors along the main axis first, then joints, then the object."""
     assert track.physics is not None
-    found: list[ComparedSignal] = []
+    signals: list[ComparedSignal] = []
     axes = [(axis, AXES[axis], "m/s") for axis in (main, *(axis for axis in range(3) if axis != main))]
-    for name, own in measured.arms.items():
+    for name, arm in measured.arms.items():
         model = predicted.arms[name]
         units = track.physics.arms[name].facts.units
         torques = [(joint, str(joint + 1), unit.effort) for joint, unit in enumerate(units)]
         speeds = [(joint, str(joint + 1), unit.velocity) for joint, unit in enumerate(units)]
         curves = [
-            *_columns("end-effector velocity", own.twist, model.twist, axes),
-            *_columns("torque of joint", own.torque, model.torque, torques),
-            *_columns("velocity of joint", own.velocity, model.velocity, speeds),
+            *_columns("end-effector velocity", arm.twist, model.twist, axes),
+            *_columns("torque of joint", arm.torque, model.torque, torques),
+            *_columns("velocity of joint", arm.velocity, model.velocity, speeds),
         ]
         several = len(measured.arms) > 1
-        found += [replace(curve, name=f"{name}: {curve.name}") for curve in curves] if several else curves
+        signals += [replace(curve, name=f"{name}: {curve.name}") for curve in curves] if several else curves
     for name, pose in measured.poses.items():
-        other = predicted.poses[name]
+        predicted_pose = predicted.poses[name]
         if not np.isfinite(pose).any():
             continue
-        found += _columns(f"{name} position", pose, other, [(axis, AXES[axis], "m") for axis in range(2)])
-        a, b = (_rate(track, values[:, :3]) for values in (pose, other))
-        found += _columns(f"{name} velocity", a, b, [(axis, AXES[axis], "m/s") for axis in range(2)])
-        a, b = (_yaw(track, values) for values in (pose, other))
-        found.append(ComparedSignal(f"{name} yaw", "rad", a, b))
-        found.append(ComparedSignal(f"{name} yaw rate", "rad/s", _rate(track, a), _rate(track, b)))
-    return found
+        signals += _columns(f"{name} position", pose, predicted_pose, [(axis, AXES[axis], "m") for axis in range(2)])
+        a, b = (_rate(track, values[:, :3]) for values in (pose, predicted_pose))
+        signals += _columns(f"{name} velocity", a, b, [(axis, AXES[axis], "m/s") for axis in range(2)])
+        a, b = (_yaw(track, values) for values in (pose, predicted_pose))
+        signals.append(ComparedSignal(f"{name} yaw", "rad", a, b))
+        signals.append(ComparedSignal(f"{name} yaw rate", "rad/s", _rate(track, a), _rate(track, b)))
+    return signals
 
 
 def _yaw(track: Track, poses: Array) -> Array:
@@ -245,11 +245,11 @@ def _yaw(track: Track, poses: Array) -> Array:
 
 def _rate(track: Track, values: Array) -> Array:
     """Time derivative of a position, stretch by stretch; NaN for a stretch of one sample."""
-    found = np.full(values.shape, np.nan)
+    rates = np.full(values.shape, np.nan)
     for rows in _slices(track.starts, len(values)):
         if rows.stop - rows.start > 1:
-            found[rows] = np.gradient(values[rows], track.time[rows], axis=0)
-    return found
+            rates[rows] = np.gradient(values[rows], track.time[rows], axis=0)
+    return rates
 
 
 def _columns(
@@ -264,17 +264,17 @@ def _columns(
 def track_of_recording(run: Run) -> Track:
     """A whole run as measured, stretch by stretch between gaps."""
     signals, time = run.signals, run.signals.time
-    kept = np.ones(time.size, dtype=bool)
+    recorded = np.ones(time.size, dtype=bool)
     for start, end in run.gaps:
-        kept &= (time <= start) | (time >= end)
-    time = time[kept]
+        recorded &= (time <= start) | (time >= end)
+    time = time[recorded]
     starts = (0, *(int(np.searchsorted(time, end)) for _, end in run.gaps))
-    arms = {name: arm.at(kept) for name, arm in signals.arms.items()}
+    arms = {name: arm.at(recorded) for name, arm in signals.arms.items()}
     try:
         impacts = {arm: begin for arm, (begin, _) in impacts_of(run).items()} if run.hit else {}
     except InputError:  # no impact: the run is shown all the same
         impacts = {}
-    poses = {name: _poses_at(time, own) for name, own in signals.poses.items()}
+    poses = {name: _poses_at(time, tracked) for name, tracked in signals.poses.items()}
     side = _side(run.physics, time, starts, arms, poses, impacts)
     return Track(run.name, time, min(impacts.values(), default=None), starts, (), run.physics, side)
 
@@ -288,16 +288,16 @@ def track_of_bag(bag: TrialBag) -> Track:
     """
     physics = bag.info.spec.scene.physics
     columns = {arm: _joint_states(bag, arm) for arm in bag.info.robots}
-    first, last = max(own[0] for own, _ in columns.values()), min(own[-1] for own, _ in columns.values())
+    first, last = max(times[0] for times, _ in columns.values()), min(times[-1] for times, _ in columns.values())
     time = next(iter(columns.values()))[0]
     time = time[(time >= first) & (time <= last)]
     arms = {}
-    for name, (own, arm) in columns.items():
-        at = {key: _at(time, own, getattr(arm, key)) for key in arm.measured}
+    for name, (arm_time, arm) in columns.items():
+        at = {key: _at(time, arm_time, getattr(arm, key)) for key in arm.measured}
         arms[name] = ArmSignals(**({"velocity": NONE, "torque": NONE} | at))
     tracked = bag.info.spec.scenario.excursion is None
     poses = {
-        name: _poses_at(time, bag.poses(topics.pose(name))) if tracked else _unseen(time) for name in physics.bodies
+        name: _poses_at(time, bag.poses(topics.pose(name))) if tracked else _untracked(time) for name in physics.bodies
     }
     impacts = {arm: moment for arm in arms if np.isfinite(moment := bag.impact_time(arm))}
     side = _side(physics, time, (0,), arms, poses, impacts)
@@ -312,16 +312,16 @@ def _joint_states(bag: TrialBag, arm: str) -> tuple[Array, ArmSignals]:
         raise BagError(bag.path, f"{topic} has no joint positions")
     if not np.isfinite(columns.position).all() or np.any(np.diff(columns.time) <= 0.0):
         raise BagError(bag.path, f"{topic} has positions that are not finite, or stamps that run backwards")
-    known = columns.velocity.size and columns.effort.size
-    signals = (columns.position, columns.velocity, columns.effort) if known else (columns.position, NONE, NONE)
+    complete = columns.velocity.size and columns.effort.size
+    signals = (columns.position, columns.velocity, columns.effort) if complete else (columns.position, NONE, NONE)
     return columns.time, ArmSignals(*signals)
 
 
 def track_of_motion(label: str, physics: Physics, motion: Motion, curves: Sequence[ComparedSignal]) -> Track:
     """A recording of free motion, with the joints of its arm only."""
-    kept = motion.kept
-    time = motion.time[kept]
-    side = TrackSide({ARM: ArmTrack(motion.position[kept], motion.velocity[kept])}, _unseen(time))
+    inner = motion.kept
+    time = motion.time[inner]
+    side = TrackSide({ARM: ArmTrack(motion.position[inner], motion.velocity[inner])}, _untracked(time))
     return Track(label, time, curves=tuple(curves), physics=physics, measured=side)
 
 
@@ -339,7 +339,7 @@ def _side(
     """Motion with pose, twist and contact force of every end effector, and the velocity jumps."""
     models = physics.robot_models()
     tracks = {name: _arm_track(arm, models[name], time, starts) for name, arm in arms.items()}
-    neighbours = {name: own for name, own in poses.items() if name != OBJECT}
+    neighbours = {name: tracked for name, tracked in poses.items() if name != OBJECT}
     return TrackSide(tracks, poses[OBJECT], _jumps(time, tracks, poses[OBJECT], impacts), neighbours)
 
 
@@ -361,32 +361,32 @@ def _slices(starts: Sequence[int], size: int) -> list[slice]:
     return [slice(start, end) for start, end in pairwise((*starts, size))]
 
 
-def _unseen(time: Array) -> Array:
+def _untracked(time: Array) -> Array:
     """Poses of an object that was not tracked, ``(k, 7)``."""
     return np.full((time.size, 7), np.nan)
 
 
 def _poses_at(time: Array, tracked: Poses) -> Array:
     """Tracked poses of an object interpolated at some times, ``(k, 7)``; NaN outside the tracked time."""
-    seen = tracked.time
-    if seen.size < 2:
-        return _unseen(time)
-    poses = _at(time, seen, np.column_stack((tracked.position, continuous(tracked.quaternion))))
+    tracked_time = tracked.time
+    if tracked_time.size < 2:
+        return _untracked(time)
+    poses = _at(time, tracked_time, np.column_stack((tracked.position, continuous(tracked.quaternion))))
     poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
-    period = float(np.median(np.diff(seen)))
-    poses[(time < seen[0] - period) | (time > seen[-1] + period)] = np.nan
+    period = float(np.median(np.diff(tracked_time)))
+    poses[(time < tracked_time[0] - period) | (time > tracked_time[-1] + period)] = np.nan
     return poses
 
 
-def _at(time: Array, known: Array, values: Array) -> Array:
-    return np.column_stack([np.interp(time, known, column) for column in values.T])
+def _at(time: Array, known_time: Array, values: Array) -> Array:
+    return np.column_stack([np.interp(time, known_time, column) for column in values.T])
 
 
 def _jumps(
     time: Array, arms: Mapping[str, ArmTrack], poses: Array, impacts: Mapping[str, float]
 ) -> tuple[VelocityJump, ...]:
     """Velocity jumps of every arm that hit, and of the object; none if the windows hold no samples."""
-    found = []
+    jumps = []
     for arm, begin in impacts.items():
         if not arms[arm].twist.size:
             continue
@@ -394,7 +394,7 @@ def _jumps(
         row = min(int(np.searchsorted(time, begin)), time.size - 1)
         if before.any() and after.any():
             means = [arms[arm].twist[rows, :3].mean(axis=0) for rows in (before, after)]
-            found.append(VelocityJump(arm, arms[arm].pose[row, :3], *means))
+            jumps.append(VelocityJump(arm, arms[arm].pose[row, :3], *means))
     if impacts:
         first, last = min(impacts.values()), max(impacts.values())
         before, after = _within(time, first, JUMP_BEFORE_S), _within(time, last, OBJECT_WINDOWS_S[0])
@@ -402,8 +402,8 @@ def _jumps(
         if before.sum() > 1 and after.sum() > 1 and np.isfinite(poses[rows]).all():
             slopes = [np.polyfit(time[part], poses[part, :3], 1)[0] for part in (before, after)]
             row = min(int(np.searchsorted(time, first)), time.size - 1)
-            found.append(VelocityJump(OBJECT, poses[row, :3], *slopes))
-    return tuple(found)
+            jumps.append(VelocityJump(OBJECT, poses[row, :3], *slopes))
+    return tuple(jumps)
 
 
 def _within(time: Array, begin: float, window: tuple[float, float]) -> Array:

@@ -32,40 +32,40 @@ def measured_ranges(
         quantities: Formulas of symbols with ranges of their own; formulas with memory have none.
         after: End of the evaluated time, after the first impact of a run [s].
     """
-    found: dict[str, list[Array]] = {}
+    values_of: dict[str, list[Array]] = {}
     formulas = [_formula(text) for text in quantities if text not in SYMBOLS]
     at_impacts = [source.contact_speeds] if source.contact_speeds else []
     for signals in (*at_impacts, *(dict(_signals(run, after)) for run in _runs(source))):
         for name, values in signals.items():
-            found.setdefault(name, []).append(values)
+            values_of.setdefault(name, []).append(values)
         for formula in formulas:
             sizes = {signals[name].size for name in formula.names if name in signals}
             if formula.names <= signals.keys() and len(sizes) == 1 and not formula.remembers:
-                found.setdefault(formula.text, []).append(np.asarray(formula(signals)))
-    ends = {name: np.percentile(np.concatenate(every), RANGE_PERCENTILES) for name, every in found.items()}
+                values_of.setdefault(formula.text, []).append(np.asarray(formula(signals)))
+    ends = {name: np.percentile(np.concatenate(arrays), RANGE_PERCENTILES) for name, arrays in values_of.items()}
     return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
 
 
 def _formula(text: str) -> Formula:
-    return Formula(text, {*SYMBOLS, *CONTACT_SYMBOLS, *(found[0] for found in JOINT_SYMBOL.finditer(text))})
+    return Formula(text, {*SYMBOLS, *CONTACT_SYMBOLS, *(match[0] for match in JOINT_SYMBOL.finditer(text))})
 
 
-def beyond(source: Source) -> tuple[str, ...]:
+def extrapolations(source: Source) -> tuple[str, ...]:
     """Warnings on measurements outside the domain of a formula of the model."""
-    known = {effect.name for effect in source.model.effects}
-    formulas = [spec for spec in source.model.formulas if spec.name in known and spec.valid]
+    model_effects = {effect.name for effect in source.model.effects}
+    formulas = [spec for spec in source.model.formulas if spec.name in model_effects and spec.valid]
     ranges = measured_ranges(source) if formulas else {}
-    found = []
+    warnings = []
     for spec in formulas:
         for symbol, (low, high) in spec.valid.items():
             least, most = ranges.get(symbol, (low, high))
             margin = RANGE_MARGIN_SHARE * (high - low)
             if least < low - margin or most > high + margin:
-                found.append(
+                warnings.append(
                     f"{spec.name} was seen for {symbol} from {low:.3g} to {high:.3g}, and these measurements reach "
                     f"from {least:.3g} to {most:.3g} (SI units): beyond, a law is extrapolated and a curve says nothing"
                 )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def _runs(source: Source) -> Sequence[Run]:
@@ -88,18 +88,18 @@ def _signals(run: Run, after: float) -> Iterator[tuple[str, Array]]:
                 yield f"{symbol}{joint}", column
         model = run.physics.robot_model(name)
         pairs = list(zip(arm.position[rows], arm.velocity[rows], strict=True))
-        places = np.array([model.placement(q).translation for q, _ in pairs])
+        positions = np.array([model.placement(q).translation for q, _ in pairs])
         speeds = np.array([model.jacobian(q)[:3] @ dq for q, dq in pairs])
-        for axis, place, speed in zip(AXES, places.T, speeds.T, strict=True):
-            yield axis, place
+        for axis, position, speed in zip(AXES, positions.T, speeds.T, strict=True):
+            yield axis, position
             yield f"v{axis}", speed
         yield "speed", np.linalg.norm(speeds, axis=1)
-    seen = signals.object_time <= end
-    if np.count_nonzero(seen) < 3 or not impacts:
+    tracked = signals.object_time <= end
+    if np.count_nonzero(tracked) < 3 or not impacts:
         return
-    velocity = np.gradient(signals.object_position[seen], signals.object_time[seen], axis=0)
-    for axis, place, speed in zip(AXES, signals.object_position[seen].T, velocity.T, strict=True):
-        yield f"object_{axis}", place
+    velocity = np.gradient(signals.object_position[tracked], signals.object_time[tracked], axis=0)
+    for axis, position, speed in zip(AXES, signals.object_position[tracked].T, velocity.T, strict=True):
+        yield f"object_{axis}", position
         yield f"object_v{axis}", speed
     size = np.linalg.norm(velocity, axis=1)
     yield "object_speed", size

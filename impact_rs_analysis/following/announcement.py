@@ -26,7 +26,7 @@ class EverydayQuantity(NamedTuple):
         less: Comparative of a smaller value.
         unit: Unit of a change; ``%``: share of the value before.
         of: Its value, in the unit.
-        own_unit: Unit of the value, of a change from zero; empty: it has none.
+        value_unit: Unit of the value, of a change from zero; empty: it has none.
     """
 
     noun: str
@@ -34,7 +34,7 @@ class EverydayQuantity(NamedTuple):
     less: str
     unit: str
     of: Callable[[Physics], float]
-    own_unit: str = ""
+    value_unit: str = ""
 
 
 def mean_of(of: Callable[[ArmPhysics], Array | float]) -> Callable[[Physics], float]:
@@ -85,31 +85,31 @@ def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple
     more = f" and {len(sure) - MAX_NAMED_PARAMETERS} more" if len(sure) > MAX_NAMED_PARAMETERS else ""
     sure = sorted(sure, key=_by_significance)[:MAX_NAMED_PARAMETERS]
     shown = sure or sorted(parameters, key=_by_significance)[:1]
-    texts = ", ".join(_text(one) for one in shown)
+    texts = ", ".join(_text(parameter) for parameter in shown)
     scenes = list(scenes)
-    plain = " and ".join(filter(None, (_plain(one, scenes) for one in QUANTITIES)))
+    plain = " and ".join(filter(None, (_plain(quantity, scenes) for quantity in QUANTITIES)))
     return f"{plain} ({effect}: {texts}{more})" if plain else f"{effect}: {texts}{more}"
 
 
-def _by_significance(one: Followed) -> float:
+def _by_significance(parameter: Followed) -> float:
     """Sort key: largest change over interval width first."""
-    return -abs(one.change) / max(one.ci95[1] - one.ci95[0], 1e-300)
+    return -abs(parameter.change) / max(parameter.ci95[1] - parameter.ci95[0], 1e-300)
 
 
-def _text(one: Followed) -> str:
+def _text(parameter: Followed) -> str:
     """A parameter with its change and interval."""
-    half = 0.5 * (one.ci95[1] - one.ci95[0])
-    value, low, high = estimate_text(one.change, (one.change - half, one.change + half))
+    half = 0.5 * (parameter.ci95[1] - parameter.ci95[0])
+    value, low, high = estimate_text(parameter.change, (parameter.change - half, parameter.change + half))
     sign = "" if value.startswith("-") else "+"
-    unit = "" if one.unit == "-" else f" {one.unit}"
-    return f"{one.parameter.partition('.')[2]} {sign}{value}{unit} [{low}, {high}]"
+    unit = "" if parameter.unit == "-" else f" {parameter.unit}"
+    return f"{parameter.parameter.partition('.')[2]} {sign}{value}{unit} [{low}, {high}]"
 
 
 def _plain(quantity: EverydayQuantity, scenes: Sequence[tuple[Physics, Physics]]) -> str:
     """Change of a quantity over all scenes; empty without a change, or if its sign differs between scenes."""
     unit = quantity.unit
     if unit == "%" and any(abs(quantity.of(before)) < MIN_RELATIVE_BASE for before, _ in scenes):
-        unit = quantity.own_unit  # there is no share of nothing
+        unit = quantity.value_unit  # there is no share of nothing
     changes = []
     for before, after in scenes:
         old, change = quantity.of(before), quantity.of(after) - quantity.of(before)

@@ -33,32 +33,32 @@ MAX_GAUSS_NEWTON_STEPS = 4  # per explanation
 MIN_KEPT_GAIN_SHARE = 0.5  # of the promised fall of the squared residuals; an explanation that keeps less is dropped
 MIN_OTHER_HITS_GAIN = 4.0  # fall of the squared residuals of the other hits; two standard deviations of one parameter
 
-Held = list[tuple[ChangeExplanation, Hypothesis]]
+Explained = list[tuple[ChangeExplanation, Hypothesis]]
 
 
 class Causes:
     """Finds the causes of a change.
 
     Args:
-        hits: Predicts hits.
+        hit_model: Predicts hits.
     """
 
-    def __init__(self, hits: HitModel) -> None:
-        self._hits, self._own, self._calibration = hits, hits.candidate, hits.calibration
+    def __init__(self, hit_model: HitModel) -> None:
+        self._hit_model, self._candidate, self._calibration = hit_model, hit_model.candidate, hit_model.calibration
 
-    def of(self, before: Hypothesis, test: ChangeTest, statistics: dict[str, Array]) -> Held:
+    def of(self, before: Hypothesis, test: ChangeTest, statistics: dict[str, Array]) -> Explained:
         """Explanations of a change that hold after relinearisation, by falling likelihood."""
         tried = test.explanations(statistics)[:MAX_LINEARISED_EXPLANATIONS]
-        held = [found for one in tried if (found := self._held(before, one)) is not None]
-        held.sort(key=lambda pair: -pair[0].log_ratio)
+        explained = [pair for explanation in tried if (pair := self._relinearised(before, explanation)) is not None]
+        explained.sort(key=lambda pair: -pair[0].log_ratio)
         tie = math.log(DECISIVE_LIKELIHOOD_RATIO)
-        promising = any(one.effect == tried[0].effect for one, _ in held)
+        promising = any(explanation.effect == tried[0].effect for explanation, _ in explained)
         # The best linear prediction may hold only at a later hit: the others need more evidence.
-        if not held or held[0][0].log_ratio < test.threshold + (0.0 if promising else tie):
+        if not explained or explained[0][0].log_ratio < test.threshold + (0.0 if promising else tie):
             return []
-        return [pair for pair in held if pair[0].log_ratio > held[0][0].log_ratio - tie][:MAX_HYPOTHESES]
+        return [pair for pair in explained if pair[0].log_ratio > explained[0][0].log_ratio - tie][:MAX_HYPOTHESES]
 
-    def instead_of(self, best: Hypothesis) -> tuple[Hypothesis, Held, float] | None:
+    def instead_of(self, best: Hypothesis) -> tuple[Hypothesis, Explained, float] | None:
         """Better explanation of the hits since the last change than the effect named then.
 
         Returns:
@@ -70,102 +70,105 @@ class Causes:
             return None
         before = Hypothesis(origin.point, Posterior(origin.past.copy()))
         for instant in best.posterior.window:
-            found = [(self._hits.evidence(one.hit, before.point), one.weight) for one in instant]
-            if predicted := [replace(own, weight=weight) for own, weight in found if own is not None]:
+            evidence = [(self._hit_model.evidence(old.hit, before.point), old.weight) for old in instant]
+            if predicted := [replace(new, weight=weight) for new, weight in evidence if new is not None]:
                 before.posterior.add(predicted)
-        test = self._hits.test(before)
-        held = self.of(before, test, test.statistics()[1])
-        if not held or held[0][0].effect == best.effect:
+        test = self._hit_model.test(before)
+        explained = self.of(before, test, test.statistics()[1])
+        if not explained or explained[0][0].effect == best.effect:
             return None
-        lead = self._ratio(before, held[0][1]) - self._ratio(before, best)
-        return None if lead <= 0.0 else (before, held, lead)
+        lead = self._ratio(before, explained[0][1]) - self._ratio(before, best)
+        return None if lead <= 0.0 else (before, explained, lead)
 
-    def _held(self, before: Hypothesis, one: ChangeExplanation) -> tuple[ChangeExplanation, Hypothesis] | None:
+    def _relinearised(
+        self, before: Hypothesis, explanation: ChangeExplanation
+    ) -> tuple[ChangeExplanation, Hypothesis] | None:
         """A relinearised explanation; None if it misses its predicted improvement, or too few hits support it.
 
         Robustness against outliers: without the quarter of the hits that supports it most, the others must still
         support it. The likelihood ratio is corrected for the actual improvement and for the information at the new
         point (Laplace approximation).
         """
-        fitted = self.about(before, one)
+        fitted = self.about(before, explanation)
         gains = _gains(before, fitted)
-        inflation = self._calibration.of(one.effect)
-        since = before.posterior.since(one.start)
-        if sum(gain > inflation for gain in gains) < self._calibration.least_hits(self._hits.mean_time, since):
+        inflation = self._calibration.of(explanation.effect)
+        since = before.posterior.since(explanation.start)
+        if sum(gain > inflation for gain in gains) < self._calibration.least_hits(self._hit_model.mean_time, since):
             return None
-        if sum(gains) <= MIN_KEPT_GAIN_SHARE * one.gain or support(gains) <= MIN_OTHER_HITS_GAIN * inflation:
+        if sum(gains) <= MIN_KEPT_GAIN_SHARE * explanation.gain or support(gains) <= MIN_OTHER_HITS_GAIN * inflation:
             return None
-        promised = one.gain / inflation - float(one.change @ one.change) / CHANGE_PRIOR_SCALES**2
-        first = log_ratio(promised, one.determinant, one.change.size, self._calibration.freedom)
-        return replace(one, log_ratio=one.log_ratio + self._ratio(before, fitted) - first), fitted
+        change = explanation.change
+        promised = explanation.gain / inflation - float(change @ change) / CHANGE_PRIOR_SCALES**2
+        first = log_ratio(promised, explanation.determinant, change.size, self._calibration.freedom)
+        return replace(explanation, log_ratio=explanation.log_ratio + self._ratio(before, fitted) - first), fitted
 
     def _ratio(self, before: Hypothesis, fitted: Hypothesis) -> float:
         """Log likelihood ratio of an explanation at its estimate, from the hits since the change."""
         assert fitted.origin is not None
         numbers, inflation = list(fitted.origin.numbers), self._calibration.of(fitted.effect)
-        place, unit = [fitted.posterior.followed.index(number) for number in numbers], np.eye(len(numbers))
-        covariance = inflation * fitted.posterior.now.covariance[np.ix_(place, place)]
-        known = np.linalg.inv(covariance) - unit / (inflation * FOUND_CHANGE_PRIOR_SCALES**2)
-        moved = (self._hits.values(fitted)[numbers] - fitted.origin.old) / self._own.scale[numbers]
+        indices, unit = [fitted.posterior.followed.index(number) for number in numbers], np.eye(len(numbers))
+        covariance = inflation * fitted.posterior.now.covariance[np.ix_(indices, indices)]
+        information = np.linalg.inv(covariance) - unit / (inflation * FOUND_CHANGE_PRIOR_SCALES**2)
+        moved = (self._hit_model.values(fitted)[numbers] - fitted.origin.old) / self._candidate.scale[numbers]
         prior = float(moved @ np.linalg.solve(covariance + CHANGE_PRIOR_SCALES**2 * unit, moved))
-        determinant = float(np.linalg.slogdet(unit + CHANGE_PRIOR_SCALES**2 * known)[1])
+        determinant = float(np.linalg.slogdet(unit + CHANGE_PRIOR_SCALES**2 * information)[1])
         explained = sum(_gains(before, fitted)) / inflation - prior
-        return log_ratio(explained, determinant, len(place), self._calibration.freedom)
+        return log_ratio(explained, determinant, len(indices), self._calibration.freedom)
 
-    def about(self, before: Hypothesis, one: ChangeExplanation) -> Hypothesis:
+    def about(self, before: Hypothesis, explanation: ChangeExplanation) -> Hypothesis:
         """Hypothesis of an explanation, linearised at its estimate."""
-        part = self._own.part(one.effect)
+        part = self._candidate.part(explanation.effect)
         numbers = list(range(part.start, part.stop))
-        seen = [n for n in numbers if n in self._hits.active]
+        active = [n for n in numbers if n in self._hit_model.active]
         point = before.point.copy()
-        old = self._hits.values(before)[numbers]
+        old = self._hit_model.values(before)[numbers]
         point[numbers] = old
-        point[seen] += self._own.scale[seen] * one.change
+        point[active] += self._candidate.scale[active] * explanation.change
         past = before.posterior.copy()
-        past.absorb_before(one.start)
-        if len(seen) < len(numbers):  # the change makes shape parameters observable
-            self._hits.look_at(sorted({*self._hits.active, *numbers}))
+        past.absorb_before(explanation.start)
+        if len(active) < len(numbers):  # the change makes shape parameters observable
+            self._hit_model.look_at(sorted({*self._hit_model.active, *numbers}))
         origin = Origin(before.point, past.before, tuple(numbers), old)
-        return self._fitted(origin, past.hits, point, one.effect)
+        return self._fitted(origin, past.hits, point, explanation.effect)
 
     def _fitted(self, origin: Origin, hits: Sequence[Sequence[Hit]], point: Array, effect: str) -> Hypothesis:
         """Gauss-Newton on the hits since a change, with the parameters of its effect free."""
-        own, numbers = self._own, list(origin.numbers)
-        scale, lower, upper = own.scale[numbers], own.lower[numbers], own.upper[numbers]
+        candidate, numbers = self._candidate, list(origin.numbers)
+        scale, lower, upper = candidate.scale[numbers], candidate.lower[numbers], candidate.upper[numbers]
         followed = tuple(dict.fromkeys((*origin.past.parameters, *numbers)))
-        place = [followed.index(n) for n in numbers]
+        indices = [followed.index(n) for n in numbers]
         point = point.copy()
         point[numbers] = np.clip(point[numbers], lower, upper)
-        point = own.nearest_consistent(point)
+        point = candidate.nearest_consistent(point)
         for step in range(MAX_GAUSS_NEWTON_STEPS):
             posterior = self._since(origin, followed, hits, point, followed)
-            there = point.copy()
-            there[numbers] = np.clip(point[numbers] + scale * posterior.now.mean[place], lower, upper)
-            there = own.nearest_consistent(there)
-            moved = np.abs(there - point)[numbers] / scale
+            next_point = point.copy()
+            next_point[numbers] = np.clip(point[numbers] + scale * posterior.now.mean[indices], lower, upper)
+            next_point = candidate.nearest_consistent(next_point)
+            moved = np.abs(next_point - point)[numbers] / scale
             if step == MAX_GAUSS_NEWTON_STEPS - 1 or np.all(moved < MAX_FINAL_CORRECTION):
                 break
-            point = there
+            point = next_point
         return Hypothesis(point, posterior, effect=effect, origin=origin)
 
     def complete(self, fitted: Hypothesis) -> Hypothesis:
         """The hypothesis with sensitivities to all parameters, for the test at the next hits."""
         assert fitted.origin is not None
-        posterior, active = fitted.posterior, self._hits.active
+        posterior, active = fitted.posterior, self._hit_model.active
         whole = self._since(fitted.origin, posterior.followed, posterior.hits, fitted.point, active)
         return replace(fitted, posterior=whole)
 
-    def refined(self, one: Hypothesis) -> Hypothesis:
+    def refined(self, hypothesis: Hypothesis) -> Hypothesis:
         """The hypothesis, relinearised at the present posterior mean of the parameters of its effect.
 
         All other parameters keep their point: the belief before the change is relative to it.
         """
-        assert one.origin is not None
-        point, numbers = one.origin.point.copy(), list(one.origin.numbers)
-        point[numbers] = self._hits.values(one)[numbers]
-        found = self.complete(self._fitted(one.origin, one.posterior.hits, point, one.effect))
-        found.log_weight, found.recent = one.log_weight, one.recent
-        return found
+        assert hypothesis.origin is not None
+        point, numbers = hypothesis.origin.point.copy(), list(hypothesis.origin.numbers)
+        point[numbers] = self._hit_model.values(hypothesis)[numbers]
+        refined = self.complete(self._fitted(hypothesis.origin, hypothesis.posterior.hits, point, hypothesis.effect))
+        refined.log_weight, refined.recent = hypothesis.log_weight, hypothesis.recent
+        return refined
 
     def _since(
         self, origin: Origin, followed: tuple[int, ...], hits: Sequence[Sequence[Hit]], point: Array,
@@ -173,27 +176,27 @@ class Causes:
     ) -> Posterior:  # fmt: skip
         """Posterior from the belief before a change and the hits since, linearised at a point."""
         numbers = list(origin.numbers)
-        shift = (origin.old - point[numbers]) / self._own.scale[numbers]
+        shift = (origin.old - point[numbers]) / self._candidate.scale[numbers]
         posterior = Posterior(origin.past.with_parameters(followed, numbers, shift, FOUND_CHANGE_PRIOR_SCALES))
         for instant in hits:
-            found = [e for hit in instant if (e := self._hits.evidence(hit, point, parameters)) is not None]
+            evidence = [e for hit in instant if (e := self._hit_model.evidence(hit, point, parameters)) is not None]
             weights = []
-            for one in found:
-                innovation, covariance = posterior.now.predictive(one)
+            for observation in evidence:
+                innovation, covariance = posterior.now.predictive(observation)
                 distance = squared_distance(innovation, covariance, self._calibration.of_hits)
                 weights.append(huber_weight(distance, innovation.size))
-            if found:
-                posterior.add([replace(one, weight=weight) for one, weight in zip(found, weights, strict=True)])
+            if evidence:
+                posterior.add([replace(e, weight=weight) for e, weight in zip(evidence, weights, strict=True)])
         return posterior
 
 
 def _gains(before: Hypothesis, fitted: Hypothesis) -> list[float]:
     """Fall of the sum of squared whitened residuals of every hit since a change that both predict."""
-    past = {one.hit.name: one for one in before.posterior.since()}
-    found = []
+    past = {evidence.hit.name: evidence for evidence in before.posterior.since()}
+    gains = []
     for evidence in fitted.posterior.since():
         if (old := past.get(evidence.hit.name)) is None:
             continue
-        first, second = before.posterior.now.rest(old), fitted.posterior.now.rest(evidence)
-        found.append(old.weight * float(first @ first - second @ second))
-    return found
+        first, second = before.posterior.now.residual_of(old), fitted.posterior.now.residual_of(evidence)
+        gains.append(old.weight * float(first @ first - second @ second))
+    return gains

@@ -93,7 +93,7 @@ class Calibration:
             mean_time: Mean number of hits to a false alarm, at least.
             since: Hits since the change, which are not quiet.
         """
-        odd = max(self.odd - sum(one.weight < 1.0 for one in since), 0)
+        odd = max(self.odd - sum(hit_evidence.weight < 1.0 for hit_evidence in since), 0)
         share = (odd + ODD_SHARE_PRIOR_HITS * ODD_HIT_PROBABILITY) / (
             max(self.hits - len(since), 0) + ODD_SHARE_PRIOR_HITS
         )
@@ -133,11 +133,11 @@ class ChangeTest:
     ) -> None:  # fmt: skip
         self.posterior, self.candidate, self.active = posterior, candidate, tuple(active)
         self.calibration, self.mean_time = calibration, mean_time
-        places = {number: place for place, number in enumerate(self.active)}
+        index_of = {number: index for index, number in enumerate(self.active)}
         self.effects = {
-            effect.name: own
+            effect.name: indices
             for effect, part in candidate.parts
-            if (own := [places[n] for n in range(part.start, part.stop) if n in places])
+            if (indices := [index_of[n] for n in range(part.start, part.stop) if n in index_of])
         }
 
     @property
@@ -148,15 +148,15 @@ class ChangeTest:
     def statistics(self) -> tuple[float, dict[str, Array]]:
         """Logarithm of R, and of LR by effect and moment of change, ``(s,)``."""
         count = len(self.posterior.window)
-        information, score = self._reduced([count - back for back in TRIED_INSTANTS_SINCE_CHANGE if back <= count])
-        found = {
-            name: self._log_ratios(information[:, own][:, :, own], score[:, own], name)
-            for name, own in self.effects.items()
+        information, score = self._reduced([count - age for age in TRIED_INSTANTS_SINCE_CHANGE if age <= count])
+        ratios = {
+            name: self._log_ratios(information[:, indices][:, :, indices], score[:, indices], name)
+            for name, indices in self.effects.items()
         }
-        every = np.array(list(found.values()))
-        if not every.size:
-            return -math.inf, found
-        return float(scipy.special.logsumexp(every)) - math.log(len(found)), found
+        all_ratios = np.array(list(ratios.values()))
+        if not all_ratios.size:
+            return -math.inf, ratios
+        return float(scipy.special.logsumexp(all_ratios)) - math.log(len(ratios)), ratios
 
     def explanations(self, statistics: dict[str, Array]) -> list[ChangeExplanation]:
         """Explanations of a change that the last instant confirms and the hits support, by falling likelihood.
@@ -167,46 +167,46 @@ class ChangeTest:
             statistics: Result of :meth:`statistics`.
         """
         least = math.log(DECISIVE_LIKELIHOOD_RATIO)
-        possible = (self._explained(name) for name, own in statistics.items() if float(np.max(own)) > least)
-        found = [one for one in possible if one is not None and one.log_ratio > least]
-        gains = [self._gains(one) for one in found]
-        found = [replace(one, gain=sum(own)) for one, own in zip(found, gains, strict=True) if support(own) > 0.0]
-        return sorted(filter(self._enough, found), key=lambda one: -one.log_ratio)
+        possible = (self._explained(name) for name, ratios in statistics.items() if float(np.max(ratios)) > least)
+        likely = [e for e in possible if e is not None and e.log_ratio > least]
+        gains = [self._gains(explanation) for explanation in likely]
+        supported = [replace(e, gain=sum(g)) for e, g in zip(likely, gains, strict=True) if support(g) > 0.0]
+        return sorted(filter(self._enough, supported), key=lambda explanation: -explanation.log_ratio)
 
-    def _enough(self, one: ChangeExplanation) -> bool:
+    def _enough(self, explanation: ChangeExplanation) -> bool:
         """Whether there are hits enough since a change."""
-        since = self.posterior.since(one.start)
+        since = self.posterior.since(explanation.start)
         return len(since) >= self.calibration.least_hits(self.mean_time, since)
 
-    def _gains(self, one: ChangeExplanation) -> list[float]:
+    def _gains(self, explanation: ChangeExplanation) -> list[float]:
         """Fall of the sum of squared whitened residuals of every hit since a change, to first order."""
-        numbers, now = [self.active[place] for place in self.effects[one.effect]], self.posterior.now
-        cross, _, _ = self.posterior.suffixes([one.start], numbers)
-        moved = now.solve(cross[0] @ one.change)  # the state gives way to the change
+        numbers, now = [self.active[index] for index in self.effects[explanation.effect]], self.posterior.now
+        cross, _, _ = self.posterior.suffixes([explanation.start], numbers)
+        moved = now.solve(cross[0] @ explanation.change)  # the state gives way to the change
         gains = []
-        for evidence in self.posterior.since(one.start):
+        for evidence in self.posterior.since(explanation.start):
             columns, observed = now.observed(evidence)
-            first = now.rest(evidence)
-            second = first + observed @ moved[columns] - evidence.jacobian[:, numbers] @ one.change
+            first = now.residual_of(evidence)
+            second = first + observed @ moved[columns] - evidence.jacobian[:, numbers] @ explanation.change
             gains.append(evidence.weight * float(first @ first - second @ second))
         return gains
 
     def quiet(self) -> dict[str, tuple[float, float]]:
         """T_0 of the last instant alone, and its expected value, by effect."""
         information, score = self._reduced([len(self.posterior.window) - 1])
-        found = {}
-        for name, own in self.effects.items():
-            before, _, _, rank = squares(information[:, own][:, :, own], score[:, own])
-            found[name] = float(before[0]), float(rank[0])
-        return found
+        scores = {}
+        for name, indices in self.effects.items():
+            before, _, _, rank = squares(information[:, indices][:, :, indices], score[:, indices])
+            scores[name] = float(before[0]), float(rank[0])
+        return scores
 
     def _reduced(self, starts: Sequence[int]) -> tuple[Array, Array]:
         """I ``(s, p, p)`` and S ``(s, p)`` of all active parameters."""
         now = self.posterior.now
-        cross, own, score = self.posterior.suffixes(starts, self.active)
+        cross, information_of_changes, score = self.posterior.suffixes(starts, self.active)
         count, size, many = cross.shape
         solved = now.solve(np.swapaxes(cross, 0, 1).reshape(size, count * many)).reshape(size, count, many)
-        information = own - np.einsum("snp,nsq->spq", cross, solved, optimize=True)
+        information = information_of_changes - np.einsum("snp,nsq->spq", cross, solved, optimize=True)
         return information, score - np.einsum("snp,n->sp", cross, now.mean)
 
     def _log_ratios(self, information: Array, score: Array, name: str) -> Array:
@@ -217,30 +217,30 @@ class ChangeTest:
     def _explained(self, name: str) -> ChangeExplanation | None:
         """An effect within its range from its likeliest moment on; None where the last instant speaks against it."""
         last = len(self.posterior.window) - 1
-        places, inflation = self.effects[name], self.calibration.of(name)
-        numbers = [self.active[place] for place in places]
+        indices, inflation = self.effects[name], self.calibration.of(name)
+        numbers = [self.active[index] for index in indices]
         lower, upper = self._room(numbers)
-        prior = inflation * np.eye(len(places)) / CHANGE_PRIOR_SCALES**2
+        prior = inflation * np.eye(len(indices)) / CHANGE_PRIOR_SCALES**2
         starts = list(range(last, -1, -1))
         information, score = self._reduced(starts)
-        information, score = information[:, places][:, :, places], score[:, places]
+        information, score = information[:, indices][:, :, indices], score[:, indices]
         best: ChangeExplanation | None = None
         ratios = self._log_ratios(information, score, name)
-        for place in np.argsort(-ratios).tolist():
-            start, unbounded = starts[place], float(ratios[place])
+        for case in np.argsort(-ratios).tolist():
+            start, unbounded = starts[case], float(ratios[case])
             if best is not None and unbounded <= best.log_ratio:
                 break  # bounds only lower it
             if start == last:
                 continue
-            total = _positive(information[place]) + prior
-            eta = bounded(total, score[place], lower, upper)
-            gain = float(score[place] @ eta - 0.5 * eta @ total @ eta) / inflation
-            free = float(score[place] @ np.linalg.solve(total, score[place])) / (2.0 * inflation)
+            total = _positive(information[case]) + prior
+            eta = bounded(total, score[case], lower, upper)
+            gain = float(score[case] @ eta - 0.5 * eta @ total @ eta) / inflation
+            free = float(score[case] @ np.linalg.solve(total, score[case])) / (2.0 * inflation)
             # Where a bound holds, t turns the smaller gain into a smaller ratio in the same proportion.
             ratio = unbounded if free <= 0.0 else unbounded - (free - gain) * min(1.0, max(unbounded, 1.0) / free)
             if best is None or ratio > best.log_ratio:
-                earlier = _positive(information[place] - information[0]) + prior
-                early = bounded(earlier, score[place] - score[0], lower, upper)
+                earlier = _positive(information[case] - information[0]) + prior
+                early = bounded(earlier, score[case] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
                     _, determinant = np.linalg.slogdet(CHANGE_PRIOR_SCALES**2 / inflation * total)
@@ -249,12 +249,12 @@ class ChangeTest:
 
     def _room(self, numbers: Sequence[int]) -> tuple[Array, Array]:
         """Least and largest change of some parameters within their ranges, in scales, ``(p,)`` each."""
-        own = self.candidate
+        candidate = self.candidate
         now = dict(zip(self.posterior.followed, self.posterior.now.mean.tolist(), strict=False))
-        at = np.array([own.point[n] + own.scale[n] * now.get(n, 0.0) for n in numbers])
-        scale = own.scale[list(numbers)]
-        lower = np.minimum((own.lower[list(numbers)] - at) / scale, -1e-9)
-        return lower, np.maximum((own.upper[list(numbers)] - at) / scale, 1e-9)
+        values = np.array([candidate.point[n] + candidate.scale[n] * now.get(n, 0.0) for n in numbers])
+        scale = candidate.scale[list(numbers)]
+        lower = np.minimum((candidate.lower[list(numbers)] - values) / scale, -1e-9)
+        return lower, np.maximum((candidate.upper[list(numbers)] - values) / scale, 1e-9)
 
 
 def support(gains: Sequence[float]) -> float:

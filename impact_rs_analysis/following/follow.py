@@ -39,11 +39,11 @@ class HitsSince:
     @property
     def diagnosable(self) -> bool:
         """Whether they suffice for a full diagnosis: three conditions, and three more hits than conditions."""
-        known = len(set(filter(None, self.conditions)))
+        conditions = len(set(filter(None, self.conditions)))
         count = len(self.conditions)
-        if not known:  # rows that repeat nothing
+        if not conditions:  # rows that repeat nothing
             return count >= MIN_CLUSTERS * MIN_REPEATS
-        return known >= MIN_CLUSTERS and count - known >= MIN_DEGREES_OF_FREEDOM
+        return conditions >= MIN_CLUSTERS and count - conditions >= MIN_DEGREES_OF_FREEDOM
 
 
 class Follower:
@@ -109,37 +109,37 @@ class Follower:
             self.names.append(hit.name)
             self.last[hit.condition] = hit
         for hit in instant:
-            if hit.hits or "" not in self.last or not self.last[""].hits:
+            if hit.has_contact or "" not in self.last or not self.last[""].has_contact:
                 self.last[""] = hit
         if self.changed is not None:
             conditions = (*self.changed.conditions, *(hit.condition for hit in instant))
             self.changed = replace(self.changed, conditions=conditions)
-        known = [hit for hit in instant if self._knows(hit)]
-        unknown = [hit for hit in instant if not self._knows(hit)]
+        watched = [hit for hit in instant if self._knows(hit)]
+        unwatched = [hit for hit in instant if not self._knows(hit)]
         documents: dict[str, HitDocument] = {}
-        if known and self.watch is not None:
-            documents, since = self.watch.take(known, self.last)
+        if watched and self.watch is not None:
+            documents, since = self.watch.take(watched, self.last)
             if since:
-                self.changed = HitsSince(since[0].name, tuple(one.condition for one in since))
-        self.learning.first += unknown
-        for layout in dict.fromkeys(hit.layout for hit in unknown):
+                self.changed = HitsSince(since[0].name, tuple(hit.condition for hit in since))
+        self.learning.first += unwatched
+        for layout in dict.fromkeys(hit.layout for hit in unwatched):
             if self.learning.enough(layout, len(self.names)):
                 hypotheses = self.learning.begin(layout, [] if self.watch is None else self.watch.hypotheses)
-                if self.watch is None and self.learning.hits is not None:
-                    self.watch = HitWatch(self.learning.hits, hypotheses)
-        for hit in unknown:
+                if self.watch is None and self.learning.hit_model is not None:
+                    self.watch = HitWatch(self.learning.hit_model, hypotheses)
+        for hit in unwatched:
             documents[hit.name] = HitDocument(name=hit.name, stamp=hit.stamp, condition=hit.condition)
         return [documents[hit.name] for hit in instant]
 
     def _knows(self, hit: Hit) -> bool:
         """Whether the scatter of a hit is known."""
-        return self.watch is not None and hit.layout in self.watch.hits.whiten
+        return self.watch is not None and hit.layout in self.watch.hit_model.whiten
 
     def followed(self) -> tuple[Followed, ...]:
         """Believed parameters, by the likeliest hypothesis."""
         if self.watch is None:
             return ()
-        best, hits = self.watch.likeliest, self.watch.hits
+        best, hits = self.watch.likeliest, self.watch.hit_model
         return hits.followed(best, best.posterior.followed, hits.candidate.point)
 
     def prediction(self, condition: str = "") -> NextHit | None:
@@ -165,18 +165,18 @@ class Follower:
             raise InputError(
                 f"too few hits to follow a model: {len(self.names)} of {self.learning.learnt} that teach the scatter"
             )
-        own = self.watch.hits.candidate
-        found, values = self.model, self.watch.hits.values(self.watch.likeliest)
-        known = {one.parameter: one.ci95 for one in self.followed()}
-        for effect, part in own.parts:
-            intervals = {s.name: known.get(f"{effect.name}.{s.name}") for s in own.scalars[part]}
+        candidate = self.watch.hit_model.candidate
+        model, values = self.model, self.watch.hit_model.values(self.watch.likeliest)
+        interval_of = {parameter.parameter: parameter.ci95 for parameter in self.followed()}
+        for effect, part in candidate.parts:
+            intervals = {s.name: interval_of.get(f"{effect.name}.{s.name}") for s in candidate.scalars[part]}
             if any(intervals.values()):
                 parameters = {
                     s.name: ParameterValue(estimate=float(value), unit=s.unit, ci95=intervals[s.name])
-                    for s, value in zip(own.scalars[part], values[part], strict=True)
+                    for s, value in zip(candidate.scalars[part], values[part], strict=True)
                 }
-                found = found.with_effect(ModelEffect(name=effect.name, parameters=parameters), name, parent)
+                model = model.with_effect(ModelEffect(name=effect.name, parameters=parameters), name, parent)
         note = f"followed through {len(self.names)} hits, the last of them {self.names[-1]}"
-        return found.model_copy(
+        return model.model_copy(
             update={"name": name, "parent": parent, "parent_digest": self.model.digest, "note": note}
         )

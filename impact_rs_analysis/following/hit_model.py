@@ -51,7 +51,7 @@ class Hypothesis:
         log_weight: Logarithm of its probability.
         effect: Effect that changed last; empty: none did.
         origin: Belief before that change; None: no change, or one older than the window.
-        tried: Statistic at which nothing was found that explains a change; it is looked for again once it has grown.
+        tried_statistic: Statistic at which the last search for a cause failed; it is repeated once this has grown.
         recent: Residuals of the last hits.
     """
 
@@ -60,7 +60,7 @@ class Hypothesis:
     log_weight: float = 0.0
     effect: str = ""
     origin: Origin | None = None
-    tried: float = -math.inf
+    tried_statistic: float = -math.inf
     recent: RecentResiduals = field(default_factory=RecentResiduals)
 
 
@@ -99,15 +99,15 @@ class HitModel:
 
     def test(self, hypothesis: Hypothesis) -> ChangeTest:
         """The test for a change, about the point of a hypothesis."""
-        there = replace(self.candidate, point=hypothesis.point)
-        return ChangeTest(hypothesis.posterior, there, self.active, self.calibration, self.mean_time)
+        candidate = replace(self.candidate, point=hypothesis.point)
+        return ChangeTest(hypothesis.posterior, candidate, self.active, self.calibration, self.mean_time)
 
     def evidence(self, hit: Hit, point: Array, parameters: Sequence[int] | None = None) -> HitEvidence | None:
         """Evidence of a hit, linearised at a point (None: all active parameters); None without a contact."""
-        found = self.linearised(hit, point, self.active if parameters is None else parameters)
-        if found is None:
+        linearised = self.linearised(hit, point, self.active if parameters is None else parameters)
+        if linearised is None:
             return None
-        predicted, jacobian = found
+        predicted, jacobian = linearised
         whiten = self.whiten[hit.layout]
         return HitEvidence(
             whiten @ (hit.measured - predicted), whiten @ jacobian, whiten @ hit.discrepancy.T, hit.group, hit=hit
@@ -118,63 +118,63 @@ class HitModel:
 
         Sensitivities to other parameters are 0.
         """
-        own, numbers = replace(self.candidate, point=point), tuple(parameters)
+        candidate, numbers = replace(self.candidate, point=point), tuple(parameters)
         key = (hit.shared, point.tobytes(), numbers)
         if hit.shared and key in self._jacobians:
-            (predicted,) = self.hit_source.predict(hit, [own.effects_at(point)])
+            (predicted,) = self.hit_source.predict(hit, [candidate.effects_at(point)])
             return None if predicted is None else (predicted, self._jacobians[key])
         if (plan := self._plans.get(key[1:])) is None:
-            steps = own.steps(self.joints)
+            steps = candidate.steps(self.joints)
             moved = [point + steps[number] * (np.arange(point.size) == number) for number in numbers]
-            plan = self._plans[key[1:]] = steps, [own.effects_at(one) for one in (point, *moved)]
+            plan = self._plans[key[1:]] = steps, [candidate.effects_at(vector) for vector in (point, *moved)]
         steps, points = plan
-        predicted, *others = self.hit_source.predict(hit, points)
+        predicted, *others_stepped = self.hit_source.predict(hit, points)
         if predicted is None:
             return None
         jacobian = np.zeros((predicted.size, point.size))
-        for number, there in zip(numbers, others, strict=True):
-            if there is not None:
-                jacobian[:, number] = (there - predicted) * own.scale[number] / steps[number]
+        for number, stepped in zip(numbers, others_stepped, strict=True):
+            if stepped is not None:
+                jacobian[:, number] = (stepped - predicted) * candidate.scale[number] / steps[number]
         if hit.shared:
             self._jacobians[key] = jacobian
         return predicted, jacobian
 
     def error_at_start(self, evidence: HitEvidence, point: Array) -> float:
         """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
-        off, hit = evidence.residual, evidence.hit
+        residual, hit = evidence.residual, evidence.hit
         start = self.candidate.point
         if not np.array_equal(point, start):
-            (given,) = self.hit_source.predict(hit, [self.candidate.effects_at(start)])
-            off = off if given is None else self.whiten[hit.layout] @ (hit.measured - given)
-        return math.sqrt(float(np.mean(np.square(off))))
+            (predicted,) = self.hit_source.predict(hit, [self.candidate.effects_at(start)])
+            residual = residual if predicted is None else self.whiten[hit.layout] @ (hit.measured - predicted)
+        return math.sqrt(float(np.mean(np.square(residual))))
 
     def values(self, hypothesis: Hypothesis) -> Array:
         """Believed values of all parameters, ``(p,)``."""
-        own, followed = self.candidate, list(hypothesis.posterior.followed)
+        candidate, followed = self.candidate, list(hypothesis.posterior.followed)
         values = hypothesis.point.copy()
-        values[followed] += own.scale[followed] * hypothesis.posterior.now.mean[: len(followed)]
-        return own.nearest_consistent(np.clip(values, own.lower, own.upper))
+        values[followed] += candidate.scale[followed] * hypothesis.posterior.now.mean[: len(followed)]
+        return candidate.nearest_consistent(np.clip(values, candidate.lower, candidate.upper))
 
     def followed(self, hypothesis: Hypothesis, numbers: Sequence[int], old: Array) -> tuple[Followed, ...]:
         """Parameters with their intervals and changes."""
-        own, posterior = self.candidate, hypothesis.posterior
+        candidate, posterior = self.candidate, hypothesis.posterior
         values, variances = self.values(hypothesis), np.diag(posterior.now.covariance)
         wide = scipy.special.stdtrit(self.calibration.freedom, 0.975)
-        names = [effect.name for effect, part in own.parts for _ in range(part.start, part.stop)]
-        found = []
+        names = [effect.name for effect, part in candidate.parts for _ in range(part.start, part.stop)]
+        parameters = []
         for number in numbers:
             variance = float(variances[posterior.followed.index(number)]) * self.calibration.of(names[number])
-            half, value = wide * own.scale[number] * math.sqrt(variance), float(values[number])
-            found.append(
+            half, value = wide * candidate.scale[number] * math.sqrt(variance), float(values[number])
+            parameters.append(
                 Followed(
-                    parameter=f"{names[number]}.{own.scalars[number].name}",
+                    parameter=f"{names[number]}.{candidate.scalars[number].name}",
                     estimate=value,
                     ci95=(value - half, value + half),
                     change=value - float(old[number]),
-                    unit=own.scalars[number].unit,
+                    unit=candidate.scalars[number].unit,
                 )
             )
-        return tuple(found)
+        return tuple(parameters)
 
     def forecast(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array, Array] | None:
         """Residual of a hit ``(F,)`` and its covariance ``(F, F)``, whitened, and what whitens it; None: no contact."""
@@ -185,12 +185,12 @@ class HitModel:
 
     def predicted(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
         """Predictive mean and variance of the features of such a hit, ``(F,)`` each; None: no contact."""
-        if (found := self.forecast(hypothesis, hit)) is None:
+        if (forecast := self.forecast(hypothesis, hit)) is None:
             return None
-        innovation, covariance, whiten = found
+        innovation, covariance, whiten = forecast
         innovation = innovation - hypothesis.recent.expected(hit.group, innovation.size)
-        back = np.linalg.inv(whiten)
-        return hit.measured - back @ innovation, np.diag(back @ covariance @ back.T)
+        unwhiten = np.linalg.inv(whiten)
+        return hit.measured - unwhiten @ innovation, np.diag(unwhiten @ covariance @ unwhiten.T)
 
     def scene(self, values: Array, physics: Physics) -> Physics:
         """Physics with the effects at some values."""

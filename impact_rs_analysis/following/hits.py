@@ -73,7 +73,7 @@ class Hit:
     physics: Physics
 
     @property
-    def hits(self) -> bool:
+    def has_contact(self) -> bool:
         """Whether anything is hit, so that not all of it is free motion."""
         return any(feature.phase != "free" for feature in self.features)
 
@@ -119,9 +119,9 @@ class HitSource(ABC):
 
     def newly_skipped(self) -> dict[str, str]:
         """Entries of ``skipped`` since the last call."""
-        found = dict(itertools.islice(self.skipped.items(), self._reported, None))
+        reasons = dict(itertools.islice(self.skipped.items(), self._reported, None))
         self._reported = len(self.skipped)
-        return found
+        return reasons
 
     def limits(self, first: Sequence[Hit], layout: str) -> Array:
         """Relevance limits of the features of a layout, ``(F,)``.
@@ -183,22 +183,22 @@ class TableHitSource(HitSource):
     def arrived(self) -> Iterator[Hit]:
         """See :meth:`HitSource.arrived`."""
         table = self._reread()
-        fresh = [place for place, row in enumerate(table.rows) if row.number not in self._known]
-        self._known |= {table.rows[place].number for place in fresh}
+        fresh = [index for index, row in enumerate(table.rows) if row.number not in self._known]
+        self._known |= {table.rows[index].number for index in fresh}
         hits = sorted(self._hits(table, fresh), key=lambda hit: (hit.stamp, hit.name))
-        for given, hit in enumerate(hits, start=1):
-            self.waiting = len(hits) - given
+        for count, hit in enumerate(hits, start=1):
+            self.waiting = len(hits) - count
             yield hit
 
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
         """See :meth:`HitSource.recalled`."""
         table = self._reread()
-        places = {name_of_row(row.number): place for place, row in enumerate(table.rows)}
-        if missing := [name for name in (*names, *known) if name not in places]:
+        index_of = {name_of_row(row.number): index for index, row in enumerate(table.rows)}
+        if missing := [name for name in (*names, *known) if name not in index_of]:
             raise InputError(f"{missing[0]}, which the state knows, is gone", file=table.path)
-        given = set(known)
-        self._known = {row.number for row in table.rows if name_of_row(row.number) in given}
-        return {hit.name: hit for hit in self._hits(table, [places[name] for name in dict.fromkeys(names)])}
+        known_names = set(known)
+        self._known = {row.number for row in table.rows if name_of_row(row.number) in known_names}
+        return {hit.name: hit for hit in self._hits(table, [index_of[name] for name in dict.fromkeys(names)])}
 
     def limits(self, first: Sequence[Hit], layout: str) -> Array:
         """See :meth:`HitSource.limits`; they are shares of the closing speed of all first hits."""
@@ -210,10 +210,10 @@ class TableHitSource(HitSource):
         """See :meth:`HitSource.source`."""
         table = self._table
         assert table is not None
-        wanted = {hit.name for hit in hits}
-        places = [place for place, row in enumerate(table.rows) if name_of_row(row.number) in wanted]
-        places.sort(key=lambda place: table.rows[place].object_name)  # the first row stands for the object
-        return ImpactTableSource(table.part(places), self.model, discrepancy=self._discrepancy)
+        names = {hit.name for hit in hits}
+        indices = [index for index, row in enumerate(table.rows) if name_of_row(row.number) in names]
+        indices.sort(key=lambda index: table.rows[index].object_name)  # the first row stands for the object
+        return ImpactTableSource(table.part(indices), self.model, discrepancy=self._discrepancy)
 
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
         """See :meth:`HitSource.predict`."""
@@ -226,9 +226,9 @@ class TableHitSource(HitSource):
         rows = {name_of_row(row.number): row for row in self._table.rows}
         for hit in measured:
             for factor, words in PROPOSED_SPEED_FACTORS:
-                one = replace(self._table, rows=(_at_speed(rows[hit.name], factor),), noise=None, variants=())
+                table = replace(self._table, rows=(_at_speed(rows[hit.name], factor),), noise=None, variants=())
                 with suppress(InputError):  # the map has no solution
-                    source = ImpactTableSource(one, self.model, discrepancy=self._discrepancy, remarks=False)
+                    source = ImpactTableSource(table, self.model, discrepancy=self._discrepancy, remarks=False)
                     yield replace(_hit(source, 0), condition=f"{hit.condition or hit.name} {words}", group=hit.group)
 
     def _reread(self) -> ImpactTable:
@@ -237,19 +237,19 @@ class TableHitSource(HitSource):
         self.model = with_per_arm_parameters(self.model, [row.physics for row in table.rows])
         return table
 
-    def _hits(self, table: ImpactTable, places: Sequence[int]) -> list[RowHit]:
+    def _hits(self, table: ImpactTable, indices: Sequence[int]) -> list[RowHit]:
         """Hits of some rows; those for which the map has no solution are left out, with the reason."""
-        if not places:
+        if not indices:
             return []
         try:
-            own = ImpactTableSource(table.part(places), self.model, discrepancy=self._discrepancy, remarks=False)
+            source = ImpactTableSource(table.part(indices), self.model, discrepancy=self._discrepancy, remarks=False)
         except InputError as error:
-            if len(places) == 1:
-                self.skipped[name_of_row(table.rows[places[0]].number)] = str(error)
+            if len(indices) == 1:
+                self.skipped[name_of_row(table.rows[indices[0]].number)] = str(error)
                 return []
-            half = len(places) // 2
-            return [*self._hits(table, places[:half]), *self._hits(table, places[half:])]
-        return [_hit(own, place) for place in range(len(places))]
+            half = len(indices) // 2
+            return [*self._hits(table, indices[:half]), *self._hits(table, indices[half:])]
+        return [_hit(source, index) for index in range(len(indices))]
 
 
 def _at_speed(row: ImpactRow, factor: float) -> ImpactRow:
@@ -260,9 +260,9 @@ def _at_speed(row: ImpactRow, factor: float) -> ImpactRow:
     return replace(row, impact=replace(impact, arms=arms, object=body), after=factor * row.after)
 
 
-def _hit(own: ImpactTableSource, index: int) -> RowHit:
+def _hit(source: ImpactTableSource, index: int) -> RowHit:
     """One row of a source."""
-    row = own.table.rows[index]
+    row = source.table.rows[index]
     condition = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else ""
     return RowHit(
         name=name_of_row(row.number),
@@ -271,12 +271,12 @@ def _hit(own: ImpactTableSource, index: int) -> RowHit:
         condition=condition,
         layout="impacts",
         group=condition,
-        features=own.signals,
-        measured=own.measured[index],
-        noise=np.zeros(own.measured.shape[1]) if own.noise is None else own.noise[index],
-        discrepancy=np.diag(own.map_discrepancy_of(index)),
+        features=source.signals,
+        measured=source.measured[index],
+        noise=np.zeros(source.measured.shape[1]) if source.noise is None else source.noise[index],
+        discrepancy=np.diag(source.map_discrepancy_of(index)),
         physics=row.physics,
-        source=own,
+        source=source,
         index=index,
     )
 
@@ -326,9 +326,9 @@ class BagHitSource(HitSource):
             raise InputError("no such folder of trials", file=self._directory)
         fresh = [path for path in trials_below(self._directory) if path not in self._known]
         fresh.sort(key=lambda path: (recorded_at(path), str(path)))
-        for given, path in enumerate(fresh, start=1):
+        for count, path in enumerate(fresh, start=1):
             self._known.add(path)
-            self.waiting = len(fresh) - given
+            self.waiting = len(fresh) - count
             hit = self._read(path)
             if isinstance(hit, BagHit):
                 yield hit
@@ -338,13 +338,13 @@ class BagHitSource(HitSource):
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
         """See :meth:`HitSource.recalled`."""
         self._known = {self._directory / name for name in known}
-        found: dict[str, Hit] = {}
+        hits: dict[str, Hit] = {}
         for name in dict.fromkeys(names):
             run = read_trial(self._directory / name)
             if not isinstance(run, MeasuredRun):
                 raise InputError(f"this trial, which the state knows, cannot be read: {run[1]}", file=run[0])
-            found[name] = self._arrived(run, self._directory / name)
-        return found
+            hits[name] = self._arrived(run, self._directory / name)
+        return hits
 
     def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
         """See :meth:`HitSource.unmeasured`: every object and case, simulated by the twin; what fails is left out."""
@@ -367,7 +367,7 @@ class BagHitSource(HitSource):
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
         """See :meth:`HitSource.predict`."""
         assert isinstance(hit, BagHit)
-        return self._store([Replay(hit.run.setup, self.model, one) for one in added])
+        return self._store([Replay(hit.run.setup, self.model, effects) for effects in added])
 
     def _read(self, path: Path) -> BagHit | str:
         """The hit of a bag, or why it gives none."""

@@ -38,7 +38,7 @@ class Learning:
 
     Attributes:
         first: The hits.
-        hits: Model of the hits; None: too few were seen.
+        hit_model: Model of the hits; None: too few were seen.
     """
 
     def __init__(
@@ -51,22 +51,22 @@ class Learning:
             learnt,
             mean_time,
         )
-        self._believed = [item for item in model.effects if _same(model, item)]
-        kept = tuple(item for item in model.effects if item not in self._believed)
-        hit_source.model = model.model_copy(update={"effects": kept})
+        self._followed_items = [item for item in model.effects if _is_current(model, item)]
+        effects = tuple(item for item in model.effects if item not in self._followed_items)
+        hit_source.model = model.model_copy(update={"effects": effects})
         self.first: list[Hit] = []
-        self.hits: HitModel | None = None
+        self.hit_model: HitModel | None = None
 
     def enough(self, layout: str, count: int) -> bool:
         """Whether the first hits of a layout teach its scatter, after so many hits of all.
 
         Repeats are awaited until there are twice as many hits as needed.
         """
-        own = [hit for hit in self.first if hit.layout == layout]
-        if count < self.learnt or len(own) < self.learnt // 2:
+        hits = [hit for hit in self.first if hit.layout == layout]
+        if count < self.learnt or len(hits) < self.learnt // 2:
             return False
-        least = self._least_freedom if len(own) >= 2 * self.learnt else 1
-        measured, conditions = [hit.measured for hit in own], [hit.condition for hit in own]
+        least = self._least_freedom if len(hits) >= 2 * self.learnt else 1
+        measured, conditions = [hit.measured for hit in hits], [hit.condition for hit in hits]
         return deviations_of(measured, conditions, least)[1] >= self._least_freedom
 
     @property
@@ -81,36 +81,37 @@ class Learning:
             InputError: The model predicts fewer than half of them.
         """
         first = [hit for hit in self.first if hit.layout == layout]
-        own = self.hits
-        if own is None:
+        hits = self.hit_model
+        if hits is None:
             source = self.hit_source.source(first)
-            own, self._stated = self.consider(source, source.proportion)
-        known = own.active if hypotheses else ()
-        start = own.candidate.point
-        own.look_at(range(start.size))
-        found = [(hit, one) for hit in first if (one := own.linearised(hit, start, own.active)) is not None]
-        if len(found) < 0.5 * len(first):
-            raise InputError(f"model {self.model.name!r} predicts {len(found)} of the first {len(first)} hits")
-        residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in found]
-        jacobians = [jacobian for _, (_, jacobian) in found]
+            hits, self._stated = self.consider(source, source.proportion)
+        active = hits.active if hypotheses else ()
+        start = hits.candidate.point
+        hits.look_at(range(start.size))
+        linearised = [(hit, hits.linearised(hit, start, hits.active)) for hit in first]
+        predicted_hits = [(hit, prediction) for hit, prediction in linearised if prediction is not None]
+        if len(predicted_hits) < 0.5 * len(first):
+            raise InputError(f"model {self.model.name!r} predicts {len(predicted_hits)} of the first {len(first)} hits")
+        residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in predicted_hits]
+        jacobians = [jacobian for _, (_, jacobian) in predicted_hits]
         moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0) > 0.0
-        if not (moving.any() or known):
-            names = ", ".join(dict.fromkeys(effect.name for effect in own.candidate.effects))
+        if not (moving.any() or active):
+            names = ", ".join(dict.fromkeys(effect.name for effect in hits.candidate.effects))
             raise InputError(f"the first {len(first)} hits show none of the followed effects: {names}")
-        self.hits, self.first = own, [hit for hit in self.first if hit.layout != layout]
+        self.hit_model, self.first = hits, [hit for hit in self.first if hit.layout != layout]
         limits = self.hit_source.limits(first, layout)
-        own.whiten[layout], freedom = _scatter(residuals, limits, self._least_freedom)
-        calibration, freedom = own.calibration, max(freedom, 2)
+        hits.whiten[layout], freedom = _scatter(residuals, limits, self._least_freedom)
+        calibration, freedom = hits.calibration, max(freedom, 2)
         calibration.freedom = float(freedom) if not hypotheses else min(calibration.freedom, float(freedom))
-        own.look_at(sorted({*known, *np.flatnonzero(moving).tolist()}))
+        hits.look_at(sorted({*active, *np.flatnonzero(moving).tolist()}))
         if not hypotheses:
-            stated = [number for number in self._stated if number in own.active]
+            stated = [number for number in self._stated if number in hits.active]
             belief = Belief.of(stated, np.array([self._stated[number] for number in stated]))
             hypotheses = [Hypothesis(start, Posterior(belief))]
         for hypothesis in hypotheses:
-            evidence = [e for hit, _ in found if (e := own.evidence(hit, hypothesis.point)) is not None]
+            evidence = [e for hit, _ in predicted_hits if (e := hits.evidence(hit, hypothesis.point)) is not None]
             hypothesis.posterior.absorb(evidence)
-        self._calibrate(own, hypotheses[0], residuals, jacobians, limits)
+        self._calibrate(hits, hypotheses[0], residuals, jacobians, limits)
         return hypotheses
 
     def consider(self, source: Source, proportion: Proportion) -> tuple[HitModel, dict[int, float]]:
@@ -124,14 +125,14 @@ class Learning:
             Model of the hits, and the standard deviations, in scales, of the parameters that the model states with an
             interval, by number.
         """
-        known = [item.name for item in self._believed]
+        believed = [item.name for item in self._followed_items]
         library = source.model.known_effects
         names = [effect.name for effect in effects_for(source, self._only)]
-        names += [name for name in known if name not in names]
+        names += [name for name in believed if name not in names]
         candidate = Candidate.of(tuple(library[name].in_proportion(proportion) for name in names), source)
         point = candidate.nominal.copy()
         stated: dict[int, float] = {}
-        for item in self._believed:
+        for item in self._followed_items:
             part = candidate.part(item.name)
             for number in range(part.start, part.stop):
                 value = item.parameters.get(candidate.scalars[number].name)
@@ -145,21 +146,22 @@ class Learning:
         return HitModel(self.hit_source, candidate, source.joints, proportion, self._mean_time), stated
 
     def _calibrate(
-        self, own: HitModel, hypothesis: Hypothesis, residuals: Sequence[tuple[Hit, Array]],
+        self, hits: HitModel, hypothesis: Hypothesis, residuals: Sequence[tuple[Hit, Array]],
         jacobians: Sequence[Array], limits: Array,
     ) -> None:  # fmt: skip
         """Calibrate the score variance by cross-validation: every first hit with the scatter of the others."""
-        test, calibration = own.test(hypothesis), own.calibration
+        test, calibration = hits.test(hypothesis), hits.calibration
         square, expected = calibration.whole
-        for left, (hit, residual) in enumerate(residuals):
-            others = [one for n, one in enumerate(residuals) if n != left]
-            alike = [value for one, value in others if one.condition == hit.condition] or [v for _, v in others]
+        for index, (hit, residual) in enumerate(residuals):
+            others = [*residuals[:index], *residuals[index + 1 :]]
+            repeats = [value for other, value in others if other.condition == hit.condition]
+            alike = repeats or [value for _, value in others]
             whiten, _ = _scatter(others, limits, self._least_freedom)
             whitened = whiten @ (residual - np.mean(alike, axis=0)) / math.sqrt(1.0 + 1.0 / len(alike))
             square, expected = square + float(whitened @ whitened), expected + whitened.size
-            jacobian = whiten @ jacobians[left]
-            for name, places in test.effects.items():
-                columns = jacobian[:, [test.active[place] for place in places]]
+            jacobian = whiten @ jacobians[index]
+            for name, indices in test.effects.items():
+                columns = jacobian[:, [test.active[column] for column in indices]]
                 basis, values, _ = np.linalg.svd(columns, full_matrices=False)
                 basis = basis[:, values > 1e-6 * max(float(values[0]), 1e-300)]
                 calibration.add(name, float(np.sum(np.square(basis.T @ whitened))), float(basis.shape[1]))
@@ -174,6 +176,6 @@ def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array, least: int) 
     return Noise(repeats_of(deviations, freedom, stated), np.square(limits / 2.0)).whitening(), freedom
 
 
-def _same(model: Model, item: ModelEffect) -> bool:
+def _is_current(model: Model, item: ModelEffect) -> bool:
     """Whether an entry has the parameters of the present effect; older files may differ."""
     return model.effect_of(item).parameters == model.known_effects[item.name].parameters

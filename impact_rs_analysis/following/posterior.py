@@ -61,8 +61,8 @@ class Posterior:
         """Belief from all hits; read-only."""
         if self._now is None:
             self._now = self.before.copy()
-            for one in self.since():
-                self._now.add(one)
+            for evidence in self.since():
+                self._now.add(evidence)
         return self._now
 
     @property
@@ -73,24 +73,24 @@ class Posterior:
     @property
     def hits(self) -> list[list[Hit]]:
         """Hits of the window by instant."""
-        return [[one.hit for one in instant] for instant in self.window]
+        return [[evidence.hit for evidence in instant] for instant in self.window]
 
     def since(self, start: int = 0) -> list[HitEvidence]:
         """Evidence of the window from an instant on."""
-        return [one for instant in self.window[start:] for one in instant]
+        return [evidence for instant in self.window[start:] for evidence in instant]
 
     def add(self, instant: Sequence[HitEvidence]) -> None:
         """Add an instant to the window; the oldest of a full window is absorbed into the belief."""
-        for one in instant:
-            self.before.columns(one)
+        for evidence in instant:
+            self.before.columns(evidence)
         self.window.append(tuple(instant))
         self.absorb_before(len(self.window) - WINDOW_INSTANTS)
         self._now = None
 
     def absorb(self, evidence: Iterable[HitEvidence]) -> None:
         """Absorb hits older than the window."""
-        for one in evidence:
-            self.before.add(one)
+        for hit_evidence in evidence:
+            self.before.add(hit_evidence)
         self._now = None
 
     def absorb_before(self, start: int) -> None:
@@ -98,7 +98,7 @@ class Posterior:
         for _ in range(start):
             instant = self.window.pop(0)
             self.absorb(instant)
-            for group in sorted({one.group for one in instant}):
+            for group in sorted({evidence.group for evidence in instant}):
                 self.before.drift(group, DISCREPANCY_RENEWAL)
 
     def copy(self) -> Posterior:
@@ -118,18 +118,18 @@ class Posterior:
         now, chosen = self.now, np.array(parameters, dtype=int)
         size, count = len(now.vector), len(chosen)
         # rows: the state, the changes; columns: the changes
-        found, total, score = [], np.zeros((size + count, count)), np.zeros(count)
+        partial_sums, total, score = [], np.zeros((size + count, count)), np.zeros(count)
         last = len(self.window)
         for start in starts:
-            for one in (one for instant in self.window[start:last] for one in instant):
-                columns, places = now.columns(one)
-                total[columns] += one.normal[places[:, None], chosen]
-                total[size:] += one.normal[chosen[:, None], chosen]
-                score += one.normal[chosen, -1]
+            for evidence in (evidence for instant in self.window[start:last] for evidence in instant):
+                columns, normal_columns = now.columns(evidence)
+                total[columns] += evidence.normal[normal_columns[:, None], chosen]
+                total[size:] += evidence.normal[chosen[:, None], chosen]
+                score += evidence.normal[chosen, -1]
             last = start
-            found.append((total.copy(), score.copy()))
-        both = np.array([own for own, _ in found])
-        return both[:, :size], both[:, size:], np.array([own for _, own in found])
+            partial_sums.append((total.copy(), score.copy()))
+        sums = np.array([block for block, _ in partial_sums])
+        return sums[:, :size], sums[:, size:], np.array([partial_score for _, partial_score in partial_sums])
 
 
 def huber_weight(distance: float, size: int) -> float:

@@ -61,104 +61,111 @@ class ProposedMeasurement:
     Attributes:
         words: Instruction to the operator.
         distances: Distance of the expected readings, in standard deviations of their difference, by cause.
-        what: Expected readings, in words.
+        expected: Expected readings, in words.
     """
 
     words: str
     distances: tuple[float, ...]
-    what: str
+    expected: str
 
 
-def most_decisive(found: Iterable[ProposedMeasurement], shares: Sequence[float]) -> ProposedMeasurement | None:
+def most_decisive(measurements: Iterable[ProposedMeasurement], shares: Sequence[float]) -> ProposedMeasurement | None:
     """Measurement with the largest probability of a correct decision between the likeliest cause and the others.
 
     Args:
-        found: Measurements, those that take least effort first; of some that are as good, the first is taken.
+        measurements: Measurements, those that take least effort first; of some that are as good, the first is taken.
         shares: Probability of each of the others.
     """
-    found = [one for one in found if max(one.distances) > MIN_DECISIVE_DISTANCE]
-    right = [float(scipy.special.ndtr(0.5 * np.array(one.distances)) @ np.array(shares)) for one in found]
-    return next(
-        (one for one, own in zip(found, right, strict=True) if own > max(right) - MAX_EQUAL_DIFFERENCE * sum(shares)),
-        None,
-    )
+    decisive = [m for m in measurements if max(m.distances) > MIN_DECISIVE_DISTANCE]
+    correct = [float(scipy.special.ndtr(0.5 * np.array(m.distances)) @ np.array(shares)) for m in decisive]
+    least = max(correct, default=0.0) - MAX_EQUAL_DIFFERENCE * sum(shares)
+    return next((m for m, probability in zip(decisive, correct, strict=True) if probability > least), None)
 
 
-def measurement_words(one: ProposedMeasurement, likeliest: str, others: Sequence[str]) -> str:
+def measurement_words(measurement: ProposedMeasurement, likeliest: str, causes: Sequence[str]) -> str:
     """Text of a proposal, and the causes that it distinguishes."""
-    parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > MIN_DECISIVE_DISTANCE]
-    between = "them" if len(parted) == len(others) else f"{likeliest} from {' and '.join(parted)}"
-    return f"{one.words} distinguishes {between} ({one.what})"
+    distances = zip(causes, measurement.distances, strict=True)
+    apart = [cause for cause, distance in distances if distance > MIN_DECISIVE_DISTANCE]
+    between = "them" if len(apart) == len(causes) else f"{likeliest} from {' and '.join(apart)}"
+    return f"{measurement.words} distinguishes {between} ({measurement.expected})"
 
 
 def distinguishing(
-    own: HitModel, hypotheses: Sequence[Hypothesis], shares: Sequence[float], last: Mapping[str, Hit]
+    hit_model: HitModel, hypotheses: Sequence[Hypothesis], shares: Sequence[float], last: Mapping[str, Hit]
 ) -> str:
     """Text of the measurement that discriminates best between explanations.
 
     Args:
-        own: Predicts hits.
+        hit_model: Predicts hits.
         hypotheses: The explanations, the likeliest first.
         shares: Probability of each of the others.
         last: Last hit of every condition; empty condition: last trial with a contact.
     """
-    names = [one.effect for one in hypotheses]
+    names = [hypothesis.effect for hypothesis in hypotheses]
     measured = [(name, hit) for name, hit in last.items() if name]
     measured = measured or [(f"the kind of {hit.name}", hit) for hit in last.values()]
-    found = [_hit(own, hypotheses, f"one hit of {name}", hit) for name, hit in measured]
-    found += [_check(own, hypotheses, check, last[""].physics) for check in HITLESS_CHECKS]
-    seen = {effect.name for effect in own.candidate.effects if effect.seen_in(contact=False)}
-    free = [name in seen for name in names]
+    measurements = [_discrimination_of_hit(hit_model, hypotheses, f"one hit of {name}", hit) for name, hit in measured]
+    measurements += [
+        _discrimination_of_check(hit_model, hypotheses, check, last[""].physics) for check in HITLESS_CHECKS
+    ]
+    shown_in_free_motion = {effect.name for effect in hit_model.candidate.effects if effect.seen_in(contact=False)}
+    free = [name in shown_in_free_motion for name in names]
     if any(free) and last[""].physics.arms:
         apart = tuple(math.inf if shown != free[0] else 0.0 for shown in free[1:])
-        showing = " and ".join(name for name in names if name in seen)
-        found.append(ProposedMeasurement("a free motion", apart, f"{showing} would show there"))
-    best = most_decisive(found, shares)
+        showing = " and ".join(name for name in names if name in shown_in_free_motion)
+        measurements.append(ProposedMeasurement("a free motion", apart, f"{showing} would show there"))
+    best = most_decisive(measurements, shares)
     if best is None or min(best.distances) <= MIN_DECISIVE_DISTANCE:
-        hits = own.hit_source.unmeasured([hit for _, hit in measured])
-        found += [_hit(own, hypotheses, f"a hit of {hit.condition}, not measured yet,", hit) for hit in hits]
-        best = most_decisive(found, shares)
+        for hit in hit_model.hit_source.unmeasured([hit for _, hit in measured]):
+            measurements.append(
+                _discrimination_of_hit(hit_model, hypotheses, f"a hit of {hit.condition}, not measured yet,", hit)
+            )
+        best = most_decisive(measurements, shares)
     if best is not None:
         return measurement_words(best, names[0], names[1:])
     return "no hit of these kinds and nothing that can be measured without one distinguishes them"
 
 
-def _hit(own: HitModel, hypotheses: Sequence[Hypothesis], words: str, hit: Hit) -> ProposedMeasurement:
+def _discrimination_of_hit(
+    hit_model: HitModel, hypotheses: Sequence[Hypothesis], words: str, hit: Hit
+) -> ProposedMeasurement:
     """Discrimination of a hit between the likeliest explanation and the others."""
-    first, *others = (own.forecast(one, hit) for one in hypotheses)
+    first, *forecasts = (hit_model.forecast(hypothesis, hit) for hypothesis in hypotheses)
     distances = []
-    for other in others:
-        if first is None or other is None:
+    for forecast in forecasts:
+        if first is None or forecast is None:
             distances.append(0.0)
             continue
-        apart, covariance = first[0] - other[0], 0.5 * (first[1] + other[1])
-        distances.append(math.sqrt(squared_distance(apart, covariance, own.calibration.of_hits)))
+        apart, covariance = first[0] - forecast[0], 0.5 * (first[1] + forecast[1])
+        distances.append(math.sqrt(squared_distance(apart, covariance, hit_model.calibration.of_hits)))
     return ProposedMeasurement(words, tuple(distances), f"{min(distances):.1f} standard deviations")
 
 
-def _check(
-    own: HitModel, hypotheses: Sequence[Hypothesis], check: HitlessCheck, physics: Physics
+def _discrimination_of_check(
+    hit_model: HitModel, hypotheses: Sequence[Hypothesis], check: HitlessCheck, physics: Physics
 ) -> ProposedMeasurement:
     """Discrimination of a check without a hit between the likeliest explanation and the others."""
-    read = [_read(own, check, one, physics) for one in hypotheses]
-    (first, width), *others = read
+    readings = [_predicted_reading(hit_model, check, hypothesis, physics) for hypothesis in hypotheses]
+    (first, width), *other_readings = readings
     noise = check.least / MIN_DECISIVE_DISTANCE
-    distances = tuple(abs(first - value) / math.sqrt(noise**2 + width**2 + wide**2) for value, wide in others)
+    distances = tuple(abs(first - value) / math.sqrt(noise**2 + width**2 + wide**2) for value, wide in other_readings)
     unit = f" {check.unit}" if check.unit else ""
-    expected = (f"{value:.3g}{unit} if {one.effect}" for (value, _), one in zip(read, hypotheses, strict=True))
+    expected = (f"{value:.3g}{unit} if {h.effect}" for (value, _), h in zip(readings, hypotheses, strict=True))
     return ProposedMeasurement(f"one measurement, {check.words},", distances, ", ".join(expected))
 
 
-def _read(own: HitModel, check: HitlessCheck, hypothesis: Hypothesis, physics: Physics) -> tuple[float, float]:
+def _predicted_reading(
+    hit_model: HitModel, check: HitlessCheck, hypothesis: Hypothesis, physics: Physics
+) -> tuple[float, float]:
     """Predicted reading of a check without a hit, and its standard deviation from the parameter uncertainty."""
-    candidate, values = own.candidate, own.values(hypothesis)
-    centre = check.of(own.scene(values, physics))
+    candidate, values = hit_model.candidate, hit_model.values(hypothesis)
+    centre = check.of(hit_model.scene(values, physics))
     slopes = []
     for number in hypothesis.posterior.followed:
         step = 0.1 * candidate.scale[number]
         step = step if values[number] + step <= candidate.upper[number] else -step
         step = candidate.consistent_step(values, number, step)
         moved = values + step * (np.arange(values.size) == number)
-        slopes.append((check.of(own.scene(moved, physics)) - centre) * candidate.scale[number] / step)
+        slopes.append((check.of(hit_model.scene(moved, physics)) - centre) * candidate.scale[number] / step)
     covariance = hypothesis.posterior.now.covariance
     return centre, math.sqrt(max(float(np.array(slopes) @ covariance @ np.array(slopes)), 0.0))

@@ -40,10 +40,10 @@ class RecentResiduals:
             group: The group.
             size: Number of features.
         """
-        known = self._means.get(group)
-        return np.zeros(size) if known is None else np.asarray(known[self._best])
+        means = self._means.get(group)
+        return np.zeros(size) if means is None else np.asarray(means[self._best_gain])
 
-    def take(self, group: str, residual: Array, weight: float) -> None:
+    def update(self, group: str, residual: Array, weight: float) -> None:
         """Update with the residual of a hit.
 
         Args:
@@ -57,18 +57,19 @@ class RecentResiduals:
         means += weight * EWMA_GAINS[:, None] * off
 
     @property
-    def _best(self) -> int:
+    def _best_gain(self) -> int:
         """Gain with the smallest recent error, if it leads over no correction."""
         return int(np.argmin(self._squares + MIN_LEAD * (EWMA_GAINS > 0.0)))
 
     def saved(self) -> dict[str, Any]:
         """State as a JSON document."""
-        return {"squares": self._squares.tolist(), "means": {name: own.tolist() for name, own in self._means.items()}}
+        means = {group: values.tolist() for group, values in self._means.items()}
+        return {"squares": self._squares.tolist(), "means": means}
 
     @classmethod
     def restored(cls, document: Mapping[str, Any]) -> Self:
         """As they were when :meth:`saved` was called."""
-        found = cls()
-        found._squares = np.array(document["squares"])
-        found._means = {name: np.array(own) for name, own in document["means"].items()}
-        return found
+        residuals = cls()
+        residuals._squares = np.array(document["squares"])
+        residuals._means = {group: np.array(values) for group, values in document["means"].items()}
+        return residuals

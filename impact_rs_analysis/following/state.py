@@ -39,14 +39,14 @@ def save_state(follower: Follower, path: Path) -> None:
     Raises:
         InputError: It cannot be written.
     """
-    watch, hits, arrays = follower.watch, follower.learning.hits, {}
+    watch, hits, arrays = follower.watch, follower.learning.hit_model, {}
     hypotheses = [] if watch is None else watch.hypotheses
-    for number, one in enumerate(hypotheses):
-        arrays[f"point{number}"] = one.point
-        arrays |= _arrays(one.posterior.before, f"information{number}", f"vector{number}")
-        if one.origin is not None:
-            arrays |= _arrays(one.origin.past, f"past{number}", f"past_vector{number}")
-            arrays |= {f"old{number}": one.origin.old, f"before{number}": one.origin.point}
+    for number, hypothesis in enumerate(hypotheses):
+        arrays[f"point{number}"] = hypothesis.point
+        arrays |= _arrays(hypothesis.posterior.before, f"information{number}", f"vector{number}")
+        if hypothesis.origin is not None:
+            arrays |= _arrays(hypothesis.origin.past, f"past{number}", f"past_vector{number}")
+            arrays |= {f"old{number}": hypothesis.origin.old, f"before{number}": hypothesis.origin.point}
     for number, whiten in enumerate({} if hits is None else hits.whiten.values()):
         arrays[f"whiten{number}"] = whiten
     document = {
@@ -62,16 +62,16 @@ def save_state(follower: Follower, path: Path) -> None:
         "calibration": vars(Calibration() if hits is None else hits.calibration),
         "proportion": None if hits is None else vars(hits.proportion),
         "hypotheses": [
-            _columns(one.posterior.before)
+            _columns(h.posterior.before)
             | {
-                "origin": one.origin and _columns(one.origin.past) | {"numbers": one.origin.numbers},
-                "window": [[(e.hit.name, e.weight) for e in instant] for instant in one.posterior.window],
-                "log_weight": one.log_weight,
-                "effect": one.effect,
-                "tried": None if math.isinf(one.tried) else one.tried,
-                "recent": one.recent.saved(),
+                "origin": h.origin and _columns(h.origin.past) | {"numbers": h.origin.numbers},
+                "window": [[(e.hit.name, e.weight) for e in instant] for instant in h.posterior.window],
+                "log_weight": h.log_weight,
+                "effect": h.effect,
+                "tried": None if math.isinf(h.tried_statistic) else h.tried_statistic,
+                "recent": h.recent.saved(),
             }
-            for one in hypotheses
+            for h in hypotheses
         ],
     }
     with whole(path) as aside, aside.open("wb") as file:
@@ -119,34 +119,34 @@ def _restore(follower: Follower, document: Mapping[str, Any], arrays: Mapping[st
     """Go on where the document was made."""
     windows = [name for h in document["hypotheses"] for instant in h["window"] for name, _ in instant]
     needed = [*document["first"], *document["last"].values(), *windows]
-    known = follower.hit_source.recalled(needed, document["names"])
+    recalled = follower.hit_source.recalled(needed, document["names"])
     follower.names = list(document["names"])
     if (changed := document.get("changed")) is not None:
         follower.changed = HitsSince(changed[0], tuple(changed[1]))
-    follower.learning.first = [known[name] for name in document["first"]]
-    follower.last = {condition: known[name] for condition, name in document["last"].items()}
+    follower.learning.first = [recalled[name] for name in document["first"]]
+    follower.last = {condition: recalled[name] for condition, name in document["last"].items()}
     if document["proportion"] is None:
         return
-    source = follower.hit_source.source(list(known.values()))
+    source = follower.hit_source.source(list(recalled.values()))
     hits, _ = follower.learning.consider(source, Proportion(**document["proportion"]))
     hits.look_at(document["active"])
     hits.whiten = {layout: arrays[f"whiten{n}"] for n, layout in enumerate(document["layouts"])}
     hits.calibration = Calibration(**{**document["calibration"], "whole": tuple(document["calibration"]["whole"])})
-    hypotheses = [_hypothesis(hits, known, one, n, arrays) for n, one in enumerate(document["hypotheses"])]
-    follower.learning.hits, follower.watch = hits, HitWatch(hits, hypotheses, list(document["announced"]))
+    hypotheses = [_hypothesis(hits, recalled, entry, n, arrays) for n, entry in enumerate(document["hypotheses"])]
+    follower.learning.hit_model, follower.watch = hits, HitWatch(hits, hypotheses, list(document["announced"]))
 
 
 def _hypothesis(
-    hits: HitModel, known: Mapping[str, Hit], document: Mapping[str, Any], number: int, arrays: Mapping[str, Array]
+    hits: HitModel, recalled: Mapping[str, Hit], document: Mapping[str, Any], number: int, arrays: Mapping[str, Array]
 ) -> Hypothesis:
     """A hypothesis of the document."""
     point, origin = arrays[f"point{number}"], None
     posterior = Posterior(_belief(document, arrays[f"information{number}"], arrays[f"vector{number}"]))
-    if (own := document["origin"]) is not None:
-        past = _belief(own, arrays[f"past{number}"], arrays[f"past_vector{number}"])
-        origin = Origin(arrays[f"before{number}"], past, tuple(own["numbers"]), arrays[f"old{number}"])
+    if (origin_document := document["origin"]) is not None:
+        past = _belief(origin_document, arrays[f"past{number}"], arrays[f"past_vector{number}"])
+        origin = Origin(arrays[f"before{number}"], past, tuple(origin_document["numbers"]), arrays[f"old{number}"])
     for instant in document["window"]:
-        evidence = [(hits.evidence(known[name], point), weight) for name, weight in instant]
+        evidence = [(hits.evidence(recalled[name], point), weight) for name, weight in instant]
         posterior.add([replace(e, weight=weight) for e, weight in evidence if e is not None])
     tried = -math.inf if document["tried"] is None else document["tried"]
     recent = RecentResiduals.restored(document["recent"])

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.following.announcement import in_words
-from impact_rs_analysis.following.causes import Causes, Held
+from impact_rs_analysis.following.causes import Causes, Explained
 from impact_rs_analysis.following.documents import Cause, Change, HitDocument, NextHit, Predicted
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
 from impact_rs_analysis.following.hits import Hit
@@ -37,35 +37,36 @@ class HitWatch:
     """Hypotheses about the cell.
 
     Attributes:
-        hits: Model that predicts the features of a hit.
+        hit_model: Model that predicts the features of a hit.
         hypotheses: The hypotheses.
         announced: Effects announced as the likeliest cause of a change, in order.
     """
 
-    hits: HitModel
+    hit_model: HitModel
     hypotheses: list[Hypothesis]
     announced: list[str] = field(default_factory=list)
 
     @property
     def likeliest(self) -> Hypothesis:
         """The hypothesis with the largest probability."""
-        return max(self.hypotheses, key=lambda one: one.log_weight)
+        return max(self.hypotheses, key=lambda hypothesis: hypothesis.log_weight)
 
     def probabilities(self) -> Array:
         """Probability of every hypothesis, ``(h,)``."""
-        return np.asarray(scipy.special.softmax([one.log_weight for one in self.hypotheses]))
+        return np.asarray(scipy.special.softmax([hypothesis.log_weight for hypothesis in self.hypotheses]))
 
     def prediction(self, hit: Hit) -> NextHit | None:
         """Features of a hit with this initial state if it makes contact; None: no hypothesis predicts a contact."""
-        found = [self.hits.predicted(one, hit) for one in self.hypotheses]
-        known = [(share, *one) for share, one in zip(self.probabilities(), found, strict=True) if one is not None]
-        if not known:
+        forecasts = [self.hit_model.predicted(hypothesis, hit) for hypothesis in self.hypotheses]
+        shares = self.probabilities()
+        contacts = [(share, *forecast) for share, forecast in zip(shares, forecasts, strict=True) if forecast]
+        if not contacts:
             return None
-        total = sum(share for share, _, _ in known)
-        mean = sum(share * value for share, value, _ in known) / total
-        calibration = self.hits.calibration
-        within = sum(share * calibration.of_hits * own for share, _, own in known) / total
-        between = sum(share * np.square(value - mean) for share, value, _ in known) / total
+        total = sum(share for share, _, _ in contacts)
+        mean = sum(share * value for share, value, _ in contacts) / total
+        calibration = self.hit_model.calibration
+        within = sum(share * calibration.of_hits * variance for share, _, variance in contacts) / total
+        between = sum(share * np.square(value - mean) for share, value, _ in contacts) / total
         half = scipy.special.stdtrit(calibration.freedom, 0.975) * np.sqrt(within + between)
         return NextHit(
             condition=hit.condition,
@@ -125,33 +126,33 @@ class HitWatch:
             is an outlier.
         """
         errors: dict[str, tuple[float, float, bool]] = {}
-        best, hit_model, calibration = self.likeliest, self.hits, self.hits.calibration
-        for one in self.hypotheses:
+        best, hit_model, calibration = self.likeliest, self.hit_model, self.hit_model.calibration
+        for hypothesis in self.hypotheses:
             observations = []
             for hit in instant:
-                evidence = hit_model.evidence(hit, one.point)
+                evidence = hit_model.evidence(hit, hypothesis.point)
                 if evidence is None:
-                    one.log_weight += unpredicted_log_density(len(hit.features), calibration.freedom)
-                    if one is best:
+                    hypothesis.log_weight += unpredicted_log_density(len(hit.features), calibration.freedom)
+                    if hypothesis is best:
                         hit_model.hit_source.skipped[hit.name] = UNPREDICTED_REASON
                     continue
-                innovation, covariance = one.posterior.now.predictive(evidence)
+                innovation, covariance = hypothesis.posterior.now.predictive(evidence)
                 distance = squared_distance(innovation, covariance, calibration.of_hits)
                 weight = huber_weight(distance, innovation.size)
                 log_determinant = float(np.linalg.slogdet(covariance)[1])
-                one.log_weight += log_density(distance, log_determinant, innovation.size, calibration.freedom)
+                hypothesis.log_weight += log_density(distance, log_determinant, innovation.size, calibration.freedom)
                 observations.append(replace(evidence, weight=weight))
-                corrected = innovation - one.recent.expected(hit.group, innovation.size)
-                one.recent.take(hit.group, innovation, weight)
-                if one is best:
+                corrected = innovation - hypothesis.recent.expected(hit.group, innovation.size)
+                hypothesis.recent.update(hit.group, innovation, weight)
+                if hypothesis is best:
                     rms_error = math.sqrt(float(np.mean(np.square(corrected))))
                     calibration.hits += 1
                     calibration.odd += weight < 1.0
-                    errors[hit.name] = rms_error, hit_model.error_at_start(evidence, one.point), weight < 1.0
+                    errors[hit.name] = rms_error, hit_model.error_at_start(evidence, hypothesis.point), weight < 1.0
             if observations:
-                one.posterior.add(observations)
-            if len(one.posterior.window) == WINDOW_INSTANTS:  # the last change is too old to be revised
-                one.origin = None
+                hypothesis.posterior.add(observations)
+            if len(hypothesis.posterior.window) == WINDOW_INSTANTS:  # the last change is too old to be revised
+                hypothesis.origin = None
         return errors
 
     def _pruned(self) -> str:
@@ -162,8 +163,8 @@ class HitWatch:
         ]
         best = self.likeliest
         top = best.log_weight
-        for one in self.hypotheses:
-            one.log_weight -= top
+        for hypothesis in self.hypotheses:
+            hypothesis.log_weight -= top
         if not several or float(shares.max()) <= MIN_KNOWN_CAUSE_PROBABILITY:
             return ""
         self.hypotheses = [best]
@@ -172,31 +173,31 @@ class HitWatch:
     def _statistic(self) -> float:
         """Logarithm of the statistic of the likeliest hypothesis; 0 with an empty window."""
         best = self.likeliest
-        return self.hits.test(best).statistics()[0] if best.posterior.window else 0.0
+        return self.hit_model.test(best).statistics()[0] if best.posterior.window else 0.0
 
     def _tested(self, hit: Hit, last: Mapping[str, Hit]) -> tuple[float, Change | None, list[Hit]]:
         """Logarithm of the statistic, the change that it shows at a hit, and the hits since then."""
-        best, causes, calibration = self.likeliest, Causes(self.hits), self.hits.calibration
+        best, causes, calibration = self.likeliest, Causes(self.hit_model), self.hit_model.calibration
         if not best.posterior.window:
             return 0.0, None, []
-        test = self.hits.test(best)
+        test = self.hit_model.test(best)
         statistic, ratios = test.statistics()
         if statistic < test.threshold:
-            best.tried = -math.inf
-        elif statistic > best.tried + RETRY_LOG_GROWTH:
+            best.tried_statistic = -math.inf
+        elif statistic > best.tried_statistic + RETRY_LOG_GROWTH:
             if best.origin is not None:  # the statistic may show a linearisation error alone
                 refined = causes.refined(best)
                 self.hypotheses[self.hypotheses.index(best)] = best = refined
-                test = self.hits.test(best)
+                test = self.hit_model.test(best)
                 statistic, ratios = test.statistics()
-            best.tried = statistic
+            best.tried_statistic = statistic
             if statistic >= test.threshold:
-                held = causes.of(best, test, ratios)
-                other = None if held and held[0][0].effect == best.effect else causes.instead_of(best)
-                if other is not None and (not held or other[2] > held[0][0].log_ratio):
-                    return statistic, *self._changed(*other[:2], statistic, hit, last, instead=best.effect)
-                if held:
-                    return statistic, *self._changed(best, held, statistic, hit, last)
+                explained = causes.of(best, test, ratios)
+                revision = None if explained and explained[0][0].effect == best.effect else causes.instead_of(best)
+                if revision is not None and (not explained or revision[2] > explained[0][0].log_ratio):
+                    return statistic, *self._changed(*revision[:2], statistic, hit, last, instead=best.effect)
+                if explained:
+                    return statistic, *self._changed(best, explained, statistic, hit, last)
         if len(best.posterior.window) > 1 and statistic < 0.5 * test.threshold:
             for name, (square, rank) in test.quiet().items():
                 calibration.add(name, min(square, 9.0 * max(rank, 1.0)), rank)
@@ -206,40 +207,40 @@ class HitWatch:
     def _changed(
         self,
         before: Hypothesis,
-        explained: Held,
+        explained: Explained,
         statistic: float,
         hit: Hit,
         last: Mapping[str, Hit],
         instead: str = "",
     ) -> tuple[Change, list[Hit]]:
         """Replace the hypotheses by the explanations of a change; the change, and the hits since then."""
-        hit_model, calibration, window = self.hits, self.hits.calibration, before.posterior.window
-        found, complete = [one for one, _ in explained], Causes(hit_model).complete
-        self.hypotheses = [complete(one) for _, one in explained]  # the likeliest first
-        for one, hypothesis in zip(found, self.hypotheses, strict=True):
-            hypothesis.log_weight = one.log_ratio
-        evidence = before.posterior.since(found[0].start)
+        hit_model, calibration, window = self.hit_model, self.hit_model.calibration, before.posterior.window
+        explanations, complete = [explanation for explanation, _ in explained], Causes(hit_model).complete
+        self.hypotheses = [complete(hypothesis) for _, hypothesis in explained]  # the likeliest first
+        for explanation, hypothesis in zip(explanations, self.hypotheses, strict=True):
+            hypothesis.log_weight = explanation.log_ratio
+        evidence = before.posterior.since(explanations[0].start)
         calibration.hits -= len(evidence)  # they are not quiet
         calibration.odd -= sum(e.weight < 1.0 for e in evidence)
         since = [e.hit for e in evidence]
         first = since[0]
-        scenes = [one.physics for one in since if one.hits] or [first.physics]
+        scenes = [hit_since.physics for hit_since in since if hit_since.has_contact] or [first.physics]
         shares, old = self.probabilities(), hit_model.values(before)
         causes = []
-        for one, share, hypothesis in zip(found, shares, self.hypotheses, strict=True):
-            part = hit_model.candidate.part(one.effect)
+        for explanation, share, hypothesis in zip(explanations, shares, self.hypotheses, strict=True):
+            part = hit_model.candidate.part(explanation.effect)
             parameters = hit_model.followed(hypothesis, range(part.start, part.stop), old)
             new = old.copy()  # of this effect alone
             new[part] = hit_model.values(hypothesis)[part]
             pairs = [(hit_model.scene(old, scene), hit_model.scene(new, scene)) for scene in scenes]
             causes.append(
                 Cause(
-                    effect=one.effect, share=float(share), since=window[one.start][0].hit.name, parameters=parameters,
-                    words=in_words(one.effect, parameters, pairs),
+                    effect=explanation.effect, share=float(share), since=window[explanation.start][0].hit.name,
+                    parameters=parameters, words=in_words(explanation.effect, parameters, pairs),
                 )
             )  # fmt: skip
-        again = found[0].effect in self.announced
-        self.announced.append(found[0].effect)
+        announced = explanations[0].effect in self.announced
+        self.announced.append(explanations[0].effect)
         measurement = distinguishing(hit_model, self.hypotheses, shares.tolist()[1:], last) if len(causes) > 1 else ""
         words = f"since {_when(first)} {' or '.join(cause.words for cause in causes)}"
         words = f"{words}, and not {instead}" if instead else words
@@ -248,10 +249,10 @@ class HitWatch:
             since=first.name,
             since_time=first.stamp if first.timed else None,
             hits=len(since),
-            log10_ratio=found[0].log_ratio / math.log(10.0),
+            log10_ratio=explanations[0].log_ratio / math.log(10.0),
             false_alarm=math.exp(min(statistic, 300.0)),
             causes=tuple(causes),
-            again=again,
+            again=announced,
             instead=instead,
             apart=measurement,
             words=f"{words}; {measurement}" if measurement else words,

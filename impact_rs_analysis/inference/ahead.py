@@ -37,9 +37,9 @@ def distance(information: Array, first: int, second: int, uncertain: Columns) ->
         second: Column of the other.
         uncertain: Columns of one standard deviation each.
     """
-    way = np.zeros(len(information))
-    way[[first, second]] = 1.0, -1.0
-    return float(way @ fitted_out(information, uncertain, 1.0) @ way)
+    contrast = np.zeros(len(information))
+    contrast[[first, second]] = 1.0, -1.0
+    return float(contrast @ fitted_out(information, uncertain, 1.0) @ contrast)
 
 
 def probability(gain: Array, freedom: float = np.inf) -> Array:

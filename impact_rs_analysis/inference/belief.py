@@ -120,58 +120,58 @@ class Belief:
         count = len(self.parameters)
         return self.solve(np.eye(len(self.vector), count))[:count]
 
-    def add(self, one: Observation, sign: float = 1.0) -> None:
+    def add(self, observation: Observation, sign: float = 1.0) -> None:
         """Condition on an observation; with ``sign`` -1, remove one."""
-        columns, places = self.columns(one)
-        self.information[columns[:, None], columns] += sign * one.normal[places[:, None], places]
-        self.vector[columns] += sign * one.normal[places, -1]
+        columns, rows = self.columns(observation)
+        self.information[columns[:, None], columns] += sign * observation.normal[rows[:, None], rows]
+        self.vector[columns] += sign * observation.normal[rows, -1]
         self._solved = None
 
-    def columns(self, one: Observation) -> tuple[Columns, Columns]:
+    def columns(self, observation: Observation) -> tuple[Columns, Columns]:
         """Columns of the state that an observation depends on, and their indices in its ``normal``, ``(m,)`` each."""
-        key = one.group, one.jacobian.shape[1]
-        if (found := self._columns.get(key)) is None:
-            size, count = len(self.vector), one.patterns.shape[1]
-            if one.group not in self.groups:
+        key = observation.group, observation.jacobian.shape[1]
+        if (columns := self._columns.get(key)) is None:
+            size, count = len(self.vector), observation.patterns.shape[1]
+            if observation.group not in self.groups:
                 grown = np.eye(size + count)
                 grown[:size, :size] = self.information
                 self.information, self.vector = grown, np.concatenate((self.vector, np.zeros(count)))
-                self.groups[one.group] = slice(size, size + count)
+                self.groups[observation.group] = slice(size, size + count)
                 self._solved = None
-            own = self.groups[one.group]
-            found = self._columns[key] = (
-                np.array([*range(len(self.parameters)), *range(own.start, own.stop)], dtype=int),
+            amplitudes = self.groups[observation.group]
+            columns = self._columns[key] = (
+                np.array([*range(len(self.parameters)), *range(amplitudes.start, amplitudes.stop)], dtype=int),
                 np.array([*self.parameters, *range(key[1], key[1] + count)], dtype=int),
             )
-        return found
+        return columns
 
-    def predictive(self, one: Observation) -> tuple[Array, Array]:
+    def predictive(self, observation: Observation) -> tuple[Array, Array]:
         """Residual that the state leaves, ``(F,)``, and its covariance, ``(F, F)`` [-]."""
-        columns, observed = self.observed(one)
-        own = np.zeros((len(self.vector), len(one.residual)))
-        own[columns] = observed.T
-        covariance = np.eye(len(one.residual)) + observed @ self.solve(own)[columns]
-        if one.group not in self.groups:
-            covariance += one.patterns @ one.patterns.T
-        return one.residual - observed @ self.mean[columns], covariance
+        columns, observed = self.observed(observation)
+        whole_observed = np.zeros((len(self.vector), len(observation.residual)))
+        whole_observed[columns] = observed.T
+        covariance = np.eye(len(observation.residual)) + observed @ self.solve(whole_observed)[columns]
+        if observation.group not in self.groups:
+            covariance += observation.patterns @ observation.patterns.T
+        return observation.residual - observed @ self.mean[columns], covariance
 
-    def rest(self, one: Observation) -> Array:
+    def residual_of(self, observation: Observation) -> Array:
         """Residual that the state leaves, ``(F,)`` [-]."""
-        columns, observed = self.observed(one)
-        return np.asarray(one.residual - observed @ self.mean[columns])
+        columns, observed = self.observed(observation)
+        return np.asarray(observation.residual - observed @ self.mean[columns])
 
-    def observed(self, one: Observation) -> tuple[Columns, Array]:
+    def observed(self, observation: Observation) -> tuple[Columns, Array]:
         """Columns of the state that an observation depends on, ``(m,)``, and H at them, ``(F, m)``."""
-        followed = one.jacobian[:, list(self.parameters)]
-        if one.group not in self.groups:  # of which the state knows nothing
+        followed = observation.jacobian[:, list(self.parameters)]
+        if observation.group not in self.groups:  # of which the state knows nothing
             return np.arange(len(self.parameters)), followed
-        return self.columns(one)[0], np.hstack((followed, one.patterns))
+        return self.columns(observation)[0], np.hstack((followed, observation.patterns))
 
     def of_parameters(self) -> tuple[Array, Array]:
         """Information ``(f, f)`` and score ``(f,)`` of the parameters while the amplitudes are fitted."""
         count = len(self.parameters)
-        left = fitted_out(self._joint, range(count, len(self.vector)))
-        return left[:count, :count], left[:count, -1]
+        marginal = fitted_out(self._joint, range(count, len(self.vector)))
+        return marginal[:count, :count], marginal[:count, -1]
 
     @property
     def _joint(self) -> Array:
@@ -188,18 +188,17 @@ class Belief:
             width: Prior standard deviation of the fresh parameters, in scales.
         """
         old, new, size = len(self.parameters), len(parameters), len(self.vector)
-        gone = [n for n, one in enumerate(self.parameters) if one in fresh]
-        stay = [n for n in range(size) if n not in gone]
-        joint = fitted_out(self._joint, gone)
+        removed = [n for n, parameter in enumerate(self.parameters) if parameter in fresh]
+        stay = [n for n in range(size) if n not in removed]
+        joint = fitted_out(self._joint, removed)
         order = list(parameters)
-        places = [order.index(self.parameters[n]) if n < old else n + new - old for n in stay]
-        found = Belief.of(parameters, np.full(new, width))
-        found.information = np.diag(np.full(size + new - old, 1.0 / width**2))
-        found.vector = np.zeros(size + new - old)
-        found.information[np.ix_(places, places)], found.vector[places] = joint[np.ix_(stay, stay)], joint[stay, size]
-        found.vector[[order.index(one) for one in fresh]] = centre / width**2
-        found.groups = {g: slice(own.start + new - old, own.stop + new - old) for g, own in self.groups.items()}
-        return found
+        columns = [order.index(self.parameters[n]) if n < old else n + new - old for n in stay]
+        information = np.diag(np.full(size + new - old, 1.0 / width**2))
+        vector = np.zeros(size + new - old)
+        information[np.ix_(columns, columns)], vector[columns] = joint[np.ix_(stay, stay)], joint[stay, size]
+        vector[[order.index(number) for number in fresh]] = centre / width**2
+        groups = {name: slice(g.start + new - old, g.stop + new - old) for name, g in self.groups.items()}
+        return Belief(tuple(parameters), information, vector, groups)
 
     def drift(self, group: str, share: float) -> None:
         """Random drift of the amplitudes of a group: a' = sqrt(1 - q) a + sqrt(q) v with v standard normal.
@@ -210,15 +209,15 @@ class Belief:
             group: The group.
             share: q, share of the variance that is renewed [-].
         """
-        own, kept = self.groups[group], math.sqrt(1.0 - share)
-        unit = np.eye(own.stop - own.start)
-        coupling, past = self.information[:, own].copy(), self.vector[own].copy()
-        coupling[own] = -kept / share * unit  # with the amplitudes as they will be
-        gone = np.linalg.solve(self.information[own, own] + kept**2 / share * unit, coupling.T)
-        self.information[own], self.information[:, own], self.vector[own] = 0.0, 0.0, 0.0
-        self.information[own, own] = unit / share
-        self.information -= coupling @ gone
-        self.vector -= gone.T @ past
+        amplitudes, memory = self.groups[group], math.sqrt(1.0 - share)
+        unit = np.eye(amplitudes.stop - amplitudes.start)
+        coupling, past = self.information[:, amplitudes].copy(), self.vector[amplitudes].copy()
+        coupling[amplitudes] = -memory / share * unit  # with the amplitudes as they will be
+        eliminated = np.linalg.solve(self.information[amplitudes, amplitudes] + memory**2 / share * unit, coupling.T)
+        self.information[amplitudes], self.information[:, amplitudes], self.vector[amplitudes] = 0.0, 0.0, 0.0
+        self.information[amplitudes, amplitudes] = unit / share
+        self.information -= coupling @ eliminated
+        self.vector -= eliminated.T @ past
         self._solved = None
 
 
@@ -234,9 +233,9 @@ def fitted_out(information: Array, columns: Columns | Sequence[int], width: floa
     if not chosen.size:
         return information
     across = information[chosen]
-    own = across[:, chosen] + np.eye(chosen.size) / width**2
-    left = information - across.T @ np.linalg.solve(own, across)
-    return np.asarray(0.5 * (left + left.T))
+    fitted = across[:, chosen] + np.eye(chosen.size) / width**2
+    remaining = information - across.T @ np.linalg.solve(fitted, across)
+    return np.asarray(0.5 * (remaining + remaining.T))
 
 
 def observation_of(item: Cluster, residual: Array, jacobian: Array, count: int) -> Observation:

@@ -33,11 +33,11 @@ class Noise:
 
     Attributes:
         repeats: Covariance of a repeat about its condition, ``(F, F)``, or its diagonal, ``(F,)``.
-        own: Variance of each feature that repeats do not average, ``(F,)``.
+        unaveraged: Variance of each feature that repeats do not average, ``(F,)``.
     """
 
     repeats: Array
-    own: Array
+    unaveraged: Array
 
     def whitening(self, count: int = 1) -> Array:
         """W with W R_n W^T = 1, ``(F, F)``.
@@ -45,7 +45,7 @@ class Noise:
         Args:
             count: Number n of repeats.
         """
-        diagonal = (self.repeats if self.repeats.ndim == 1 else np.diag(self.repeats)) / count + self.own
+        diagonal = (self.repeats if self.repeats.ndim == 1 else np.diag(self.repeats)) / count + self.unaveraged
         floor = MIN_VARIANCE_SHARE * float(diagonal.max(initial=0.0) or 1.0)
         diagonal = np.where(diagonal < floor, diagonal + floor, diagonal)
         if self.repeats.ndim == 1:
@@ -80,14 +80,14 @@ def _shrunk(scaled: Array, freedom: int) -> Array:
     size = scaled.shape[1]
     if freedom < 2:
         return np.eye(size)
-    found = scaled.T @ scaled / freedom
+    correlations = scaled.T @ scaled / freedom
     squares = np.square(scaled).T @ np.square(scaled)
     # Variance of a mean of n products: their scatter about it over n (n - 1), with n the degrees of freedom.
-    variance = np.maximum(squares - freedom * np.square(found), 0.0) / (freedom * (freedom - 1.0))
+    variance = np.maximum(squares - freedom * np.square(correlations), 0.0) / (freedom * (freedom - 1.0))
     apart = ~np.eye(size, dtype=bool)
-    total = float(np.sum(np.square(found[apart])))
+    total = float(np.sum(np.square(correlations[apart])))
     share = 1.0 if total <= 0.0 else float(np.clip(np.sum(variance[apart]) / total, 0.0, 1.0))
-    shrunk = (1.0 - share) * found
+    shrunk = (1.0 - share) * correlations
     np.fill_diagonal(shrunk, 1.0)
     return np.asarray(shrunk)
 
@@ -105,6 +105,6 @@ def deviations_of(residuals: Sequence[Array], conditions: Sequence[str], least: 
     repeated = [name for name in dict.fromkeys(conditions) if name and np.sum(names == name) > 1]
     groups = [rows[names == name] for name in repeated]
     single = rows[~np.isin(names, repeated)]
-    if not groups or sum(len(own) - 1 for own in groups) < least and len(single):
+    if not groups or sum(len(group) - 1 for group in groups) < least and len(single):
         groups.append(single)
-    return np.concatenate([own - own.mean(axis=0) for own in groups]), sum(len(own) - 1 for own in groups)
+    return np.concatenate([group - group.mean(axis=0) for group in groups]), sum(len(group) - 1 for group in groups)

@@ -125,7 +125,7 @@ def _side(side: TrackSide, shown: NDArray[np.int64]) -> dict[str, Any]:
         "jumps": [
             {
                 "arm": None if jump.body == OBJECT else list(side.arms).index(jump.body),
-                "place": jump.place.tolist(),
+                "place": jump.position.tolist(),
                 "before": jump.before.tolist(),
                 "after": jump.after.tolist(),
             }

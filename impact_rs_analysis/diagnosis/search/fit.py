@@ -153,7 +153,7 @@ class Evidence:
     @cached_property
     def noise_masks(self) -> list[list[NDArray[np.bool_]]]:
         """Masks of features by cluster: one per signal if noise differs between signals, else one of all features."""
-        if not self.source.noise_apart:
+        if not self.source.noise_by_joint:
             return [[np.ones(len(item.features), dtype=bool) for item in self.clusters]]
         return self._signal_masks
 
@@ -181,7 +181,7 @@ class Evidence:
         """
         excess_before, excess_after = (self.excess(residuals) for residuals in (before, after))
         if float(np.sum(excess_before - excess_after)) > MIN_GAIN_SHARE * float(np.sum(excess_before)) or (
-            self.source.noise_apart
+            self.source.noise_by_joint
             and bool(np.any(excess_before - excess_after > MIN_GAIN_SHARE_OF_JOINT * excess_before))
         ):
             return True

@@ -146,7 +146,7 @@ def hold_out(
     tasks = list(zip(folds, searched, strict=True))
     limit = budget.remaining / len(folds)
     task = partial(_predict_fold, effects, chosen, dict(optima), limit, budget)
-    names, added, residuals, left_out = zip(*source.spread(task, tasks, HOLD_OUT), strict=True)
+    names, added, residuals, left_out = zip(*source.distribute(task, tasks, HOLD_OUT), strict=True)
     residual_of = {
         n: residual
         for fold, fold_residuals in zip(folds, residuals, strict=True)

@@ -134,7 +134,7 @@ class NullDistribution(ABC):
         for item, jacobian in zip(self.clusters, jacobians, strict=True):
             part, group = item.count * item.shared_discrepancy @ jacobian, item.discrepancy_group
             shared[group] = shared[group] + part if group in shared else part
-            scores.append(item.count * item.own_discrepancy @ jacobian)
+            scores.append(item.count * item.unshared_discrepancy @ jacobian)
         factor = np.concatenate([*shared.values(), *scores]) @ inverse
         return np.asarray(factor.T @ factor)
 
@@ -327,7 +327,7 @@ class _Layout:
             groups.setdefault(item.discrepancy_group, []).append(position)
             key = item.count, item.discrepancy_group
             if key not in computed:
-                computed[key] = self._operator(np.sqrt(item.count) * self._in_noise(item, item.own_discrepancy))
+                computed[key] = self._operator(np.sqrt(item.count) * self._in_noise(item, item.unshared_discrepancy))
             operators.append(computed[key])
         shared = []
         for members in groups.values():

@@ -39,12 +39,12 @@ class Match:
     Attributes:
         number: Index of the reference.
         shift: Time of the reference minus time of the motion [s].
-        apart: Distance of their positions, rms over time and joints [rad].
+        distance: Distance of their positions, rms over time and joints [rad].
     """
 
     number: int
     shift: float
-    apart: float
+    distance: float
 
 
 def minus_references(
@@ -66,15 +66,15 @@ def minus_references(
     Raises:
         InputError: No reference follows the motion of a recording.
     """
-    predicted = TorqueBalance([one.without_motors for one in references], at_motor).predicted(physics)
-    rests = [reference.torque - torque for reference, torque in zip(references, predicted, strict=True)]
-    found = []
+    predicted = TorqueBalance([reference.without_motors for reference in references], at_motor).predicted(physics)
+    residuals = [reference.torque - torque for reference, torque in zip(references, predicted, strict=True)]
+    differences = []
     for motion, file in zip(motions, files, strict=True):
         match = nearest(motion, references)
         size = float(np.sqrt(np.mean(np.square(motion.position - motion.position.mean(axis=0)))))
-        if match is None or match.apart > MAX_DISTANCE_SHARE * size:
-            apart = "too short" if match is None else f"{match.apart:.3g} rad rms apart at best"
-            reason = f"{apart}; the motion has {size:.3g} rad rms"
+        if match is None or match.distance > MAX_DISTANCE_SHARE * size:
+            mismatch = "too short" if match is None else f"{match.distance:.3g} rad rms apart at best"
+            reason = f"{mismatch}; the motion has {size:.3g} rad rms"
             if (speed := _speed_ratio_on_path(motion, references, MAX_DISTANCE_SHARE * size)) is not None:
                 reason = (
                     f"one goes the same way {speed:.2g} times as fast; friction and inertial torques then differ, and "
@@ -86,19 +86,19 @@ def minus_references(
                 file=file,
             )
         reference = references[match.number]
-        place = motion.time + match.shift
+        reference_time = motion.time + match.shift
         first, last = reference.time[reference.kept][[0, -1]]
-        inside = np.flatnonzero((place >= first) & (place <= last))
-        found.append(
+        inside = np.flatnonzero((reference_time >= first) & (reference_time <= last))
+        differences.append(
             replace(
                 motion.without_motors,
-                torque=motion.torque - _at(place, reference.time, rests[match.number]),
+                torque=motion.torque - _at(reference_time, reference.time, residuals[match.number]),
                 noise=np.hypot(motion.noise, reference.noise),
                 measured=motion.measured & reference.measured,
                 kept=slice(max(motion.kept.start, int(inside[0])), min(motion.kept.stop, int(inside[-1]) + 1)),
             )
         )
-    return found
+    return differences
 
 
 def order_warning(recorded: Sequence[Array], subtracted: Sequence[Array]) -> str | None:
@@ -110,28 +110,29 @@ def order_warning(recorded: Sequence[Array], subtracted: Sequence[Array]) -> str
         recorded: Timestamps of the recordings, ``(k,)`` each [s].
         subtracted: Those of the recordings of ``--minus``.
     """
-    every = [*recorded, *subtracted]
-    if any(time[0] < MIN_WALL_CLOCK_S for time in every):
+    timestamps = [*recorded, *subtracted]
+    if any(time[0] < MIN_WALL_CLOCK_S for time in timestamps):
         return None
-    span = max(float(time[-1]) for time in every) - min(float(time[0]) for time in every)
-    middle, other = (float(np.mean([time.mean() for time in times])) for times in (recorded, subtracted))
-    if abs(middle - other) <= MAX_ORDER_IMBALANCE * span:
+    span = max(float(time[-1]) for time in timestamps) - min(float(time[0]) for time in timestamps)
+    means = [float(np.mean([time.mean() for time in times])) for times in (recorded, subtracted)]
+    lag = means[0] - means[1]
+    if abs(lag) <= MAX_ORDER_IMBALANCE * span:
         return None
-    when = "later" if middle > other else "earlier"
+    when = "later" if lag > 0.0 else "earlier"
     return (
-        f"the recordings are on average {abs(middle - other) / 60.0:.3g} minutes {when} "
+        f"the recordings are on average {abs(lag) / 60.0:.3g} minutes {when} "
         "than those of --minus: what drifts meanwhile, as friction while gears warm up, stays in the difference. The "
         "order without, with, with, without cancels a linear drift"
     )
 
 
 def _speed_ratio_on_path(motion: Motion, references: Sequence[Motion], near: float) -> float | None:
-    """Speed of a reference on the same path, within ``near`` [rad], over that of the motion; None if none is."""
+    """Speed of a reference on the same path, within ``near`` [rad] rms, over the speed of the motion; None: no such."""
     path, speed = _path(motion)
-    for other in references:
-        other_path, its_speed = _path(other)
-        if np.sqrt(np.mean(np.square(path - other_path))) <= near:
-            return its_speed / speed
+    for reference in references:
+        reference_path, reference_speed = _path(reference)
+        if np.sqrt(np.mean(np.square(path - reference_path))) <= near:
+            return reference_speed / speed
     return None
 
 
@@ -143,32 +144,33 @@ def _path(motion: Motion) -> tuple[Array, float]:
 
 def nearest(motion: Motion, references: Sequence[Motion]) -> Match | None:
     """The reference and time shift nearest to a motion; None if no reference overlaps it for long enough."""
-    matches = [match for number, other in enumerate(references) if (match := _match(motion, number, other)) is not None]
-    return min(matches, key=lambda match: match.apart, default=None)
+    matches = [_match(motion, number, reference) for number, reference in enumerate(references)]
+    return min(filter(None, matches), key=lambda match: match.distance, default=None)
 
 
-def _match(motion: Motion, number: int, other: Motion) -> Match | None:
+def _match(motion: Motion, number: int, reference: Motion) -> Match | None:
+    """Alignment with one reference; None if it does not overlap the motion for long enough."""
     time, position = motion.time[motion.kept], motion.position[motion.kept]
-    first, last = other.time[other.kept][[0, -1]]
+    first, last = reference.time[reference.kept][[0, -1]]
     least = MIN_OVERLAP_SHARE * min(time.size / motion.rate, last - first)
 
-    def apart(shift: float) -> float:
+    def distance(shift: float) -> float:
         inside = (time + shift >= first) & (time + shift <= last)
         if np.count_nonzero(inside) < least * motion.rate:
             return np.inf
-        distance = position[inside] - _at(time[inside] + shift, other.time, other.position)
-        return float(np.sqrt(np.mean(np.square(distance))))
+        difference = position[inside] - _at(time[inside] + shift, reference.time, reference.position)
+        return float(np.sqrt(np.mean(np.square(difference))))
 
     step = 1.0 / (SHIFTS_PER_PERIOD * motion.cut_off)
     shifts = np.arange(first - time[-1] + least, last - time[0] - least + step, step)
-    best = min(shifts.tolist(), key=apart, default=None)
-    if best is None or not np.isfinite(apart(best)):
+    best = min(shifts.tolist(), key=distance, default=None)
+    if best is None or not np.isfinite(distance(best)):
         return None
-    fine = scipy.optimize.minimize_scalar(apart, bounds=(best - step, best + step), method="bounded")
-    shift = min((best, float(fine.x)), key=apart)
-    return Match(number, shift, apart(shift))
+    fine = scipy.optimize.minimize_scalar(distance, bounds=(best - step, best + step), method="bounded")
+    shift = min((best, float(fine.x)), key=distance)
+    return Match(number, shift, distance(shift))
 
 
-def _at(wanted: Array, time: Array, values: Array) -> Array:
+def _at(moments: Array, time: Array, values: Array) -> Array:
     """Columns of ``values`` at other times."""
-    return np.column_stack([np.interp(wanted, time, column) for column in values.T])
+    return np.column_stack([np.interp(moments, time, column) for column in values.T])

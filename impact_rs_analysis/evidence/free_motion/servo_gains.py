@@ -51,9 +51,9 @@ class ServoGains:
             torque: Predicted tau + tau_late, ``(k, m)`` [N m].
             late: Its part tau_late, ``(k, m)`` [N m].
         """
-        own = torque - late
-        scores = np.sum(own * (self._torque - torque), axis=0)
-        return np.asarray(scores / (np.sum(np.square(own), axis=0) + self._penalty))
+        servo_torque = torque - late
+        scores = np.sum(servo_torque * (self._torque - torque), axis=0)
+        return np.asarray(scores / (np.sum(np.square(servo_torque), axis=0) + self._penalty))
 
     def predicted(self, share: Array) -> Array:
         """:attr:`recorded` as predicted with gains that are too high by ``share`` ``(m,)``, ``(K, m)`` [-]."""

@@ -102,12 +102,12 @@ class ServoMotion:
         torque = self.law.late(self.time, self.position, self.velocity, self.q_desired, self.dq_desired, delay)
         return _low_passed_twice(torque, self.cut_off, 1.0 / float(self.time[1] - self.time[0]), self.stride)
 
-    def lost(self, delay: float) -> Array:
+    def delay_loss(self, delay: float) -> Array:
         """Torque by the stamps of the commands minus that of late commands, low-passed twice, ``(k, n)`` [N m]."""
-        return self._lost.of(delay, lambda: self.torque(0.0) - self.torque(delay))
+        return self._delay_losses.of(delay, lambda: self.torque(0.0) - self.torque(delay))
 
     @cached_property
-    def _lost(self) -> Recent[Array]:
+    def _delay_losses(self) -> Recent[Array]:
         return Recent[Array](CACHED_DELAYS)
 
 
@@ -228,7 +228,7 @@ class Motion:
 def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
     """Zero-phase filter, as ``scipy.signal.sosfiltfilt``, with a cached steady state."""
     sections, steady = _butterworth(cut_off, rate)
-    found = np.concatenate(
+    filtered = np.concatenate(
         (
             2.0 * values[0] - values[PADDED_SAMPLES:0:-1],
             values,
@@ -236,8 +236,8 @@ def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
         )
     )
     for _ in range(2):
-        found = scipy.signal.sosfilt(sections, found, axis=0, zi=steady[:, :, None] * found[0])[0][::-1]
-    return np.asarray(found[PADDED_SAMPLES:-PADDED_SAMPLES])
+        filtered = scipy.signal.sosfilt(sections, filtered, axis=0, zi=steady[:, :, None] * filtered[0])[0][::-1]
+    return np.asarray(filtered[PADDED_SAMPLES:-PADDED_SAMPLES])
 
 
 def _low_passed_twice(values: Array, cut_off: float, sampled: float, stride: int) -> Array:
@@ -280,15 +280,15 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
     def derivative(values: Array) -> Array:
         return np.asarray(np.gradient(values, 1.0 / sampled, axis=0))
 
-    raw, places, speeds = (resampled(values) for values in (arm.torque, arm.position, arm.velocity))
+    raw, positions, speeds = (resampled(values) for values in (arm.torque, arm.position, arm.velocity))
     motors = resampled(motor_positions(arm))
     stride = max(1, int(sampled / (MAX_SAMPLES_PER_PERIOD * cut_off)))
     rate = sampled / stride
     servo = None
     if law is not None:
-        wanted = resampled(arm.q_desired), resampled(arm.dq_desired)
-        servo = ServoMotion(law, even, places, speeds, *wanted, cut_off, stride)
-    q, dq = (_low_pass(values, cut_off, sampled) for values in (places, speeds))
+        desired = resampled(arm.q_desired), resampled(arm.dq_desired)
+        servo = ServoMotion(law, even, positions, speeds, *desired, cut_off, stride)
+    q, dq = (_low_pass(values, cut_off, sampled) for values in (positions, speeds))
     fine = (q[::stride].shape[0] - 1) * stride + 1
     theta = _low_pass(motors, cut_off, sampled)
     dtheta = derivative(theta)
@@ -300,9 +300,9 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
             file=run.path,
         )
     # A servo's torque has the noise of the encoder in it, so the motion that it is compared with is the desired one.
-    driven = places if servo is None else servo.q_desired
+    driven = positions if servo is None else servo.q_desired
     moved = np.hstack((driven, motors[:, np.isfinite(motors).all(axis=0)]))
-    turning = np.tanh(derivative(np.where(np.isnan(motors), places, motors)) / MIN_COULOMB_SPEED)
+    turning = np.tanh(derivative(np.where(np.isnan(motors), positions, motors)) / MIN_COULOMB_SPEED)
     return Motion(
         time=even[::stride],
         position=q[::stride],
@@ -316,7 +316,7 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
         motor_velocity=dtheta[::stride],
         motor_acceleration=derivative(dtheta)[::stride],
         deflection=_low_pass((theta - q)[::stride], cut_off, rate),
-        deflection_noise=_noise(motors - places, moved, turning, cut_off, sampled),
+        deflection_noise=_noise(motors - positions, moved, turning, cut_off, sampled),
         cut_off=cut_off,
         rate=rate,
         unfiltered=(speeds - dq)[:fine],
@@ -332,9 +332,9 @@ def motor_positions(arm: ArmSignals) -> Array:
     if not arm.motor_position.size:
         return np.full_like(arm.position, np.nan)
     ratios = motor_ratios(arm)
-    own = np.ptp(arm.motor_position - arm.position, axis=0) > 0.0
+    deflected = np.ptp(arm.motor_position - arm.position, axis=0) > 0.0
     near = (MOTOR_RATIO_RANGE[0] < ratios) & (ratios < MOTOR_RATIO_RANGE[1])
-    return np.asarray(np.where(own & near, arm.motor_position, np.nan))
+    return np.asarray(np.where(deflected & near, arm.motor_position, np.nan))
 
 
 def motor_ratios(arm: ArmSignals) -> Array:
@@ -371,25 +371,25 @@ def _noise(raw: Array, moved: Array, turning: Array, cut_off: float, rate: float
         return np.asarray(scipy.signal.sosfiltfilt(sections, values, axis=0))[::step]
 
     rate /= step
-    motion, wanted = passed(moved), passed(np.nan_to_num(raw))
+    motion, signals = passed(moved), passed(np.nan_to_num(raw))
     direction = passed(turning)
     lag = max(1, round(0.5 * rate / (band[0] + band[1])))
-    shifted = np.hstack([np.roll(motion, place * lag, axis=0) for place in LAGS_QUARTER_PERIODS])
-    inside = slice(LAGS_QUARTER_PERIODS[-1] * lag, wanted.shape[0] - LAGS_QUARTER_PERIODS[-1] * lag)
-    count = max(1, int(wanted.shape[0] * cut_off / rate))
+    shifted = np.hstack([np.roll(motion, quarters * lag, axis=0) for quarters in LAGS_QUARTER_PERIODS])
+    inside = slice(LAGS_QUARTER_PERIODS[-1] * lag, signals.shape[0] - LAGS_QUARTER_PERIODS[-1] * lag)
+    count = max(1, int(signals.shape[0] * cut_off / rate))
     powers = []
     for joint in range(raw.shape[1]):
         basis = np.column_stack((shifted, direction[:, joint]))[inside]
-        left = wanted[inside, joint] - basis @ np.linalg.lstsq(basis, wanted[inside, joint], rcond=None)[0]
-        freedom = 2.0 * (band[1] - band[0]) * left.size / rate  # independent numbers in a band of this width
-        taken = min(np.linalg.matrix_rank(basis) / freedom, MAX_FITTED_NOISE_SHARE)
-        windows = [np.mean(np.square(window)) for window in np.array_split(left, count)]
-        powers.append(np.median(windows) / (1.0 - taken))
-    found = np.sqrt(np.array(powers) * cut_off / (band[1] - band[0]))
-    return np.where(np.isnan(raw).any(axis=0), np.nan, found)
+        residuals = signals[inside, joint] - basis @ np.linalg.lstsq(basis, signals[inside, joint], rcond=None)[0]
+        freedom = 2.0 * (band[1] - band[0]) * residuals.size / rate  # independent numbers in a band of this width
+        fitted_share = min(np.linalg.matrix_rank(basis) / freedom, MAX_FITTED_NOISE_SHARE)
+        windows = [np.mean(np.square(window)) for window in np.array_split(residuals, count)]
+        powers.append(np.median(windows) / (1.0 - fitted_share))
+    noise = np.sqrt(np.array(powers) * cut_off / (band[1] - band[0]))
+    return np.where(np.isnan(raw).any(axis=0), np.nan, noise)
 
 
-def _of_motors(motion: Motion, transmitted: Array, arm: ArmPhysics) -> tuple[Array, Array]:
+def _motor_motion(motion: Motion, transmitted: Array, arm: ArmPhysics) -> tuple[Array, Array]:
     """Velocity and acceleration of the motors, ``(k, n)`` each [rad/s, rad/s^2].
 
     Args:
@@ -397,13 +397,14 @@ def _of_motors(motion: Motion, transmitted: Array, arm: ArmPhysics) -> tuple[Arr
         transmitted: Torque of the transmissions on the links, ``(k, n)`` [N m].
         arm: Stiffness and damping of the transmissions.
     """
-    velocity, acceleration, own = motion.velocity, motion.acceleration, motion.with_encoders
-    if np.any(np.isfinite(arm.stiffness[~own])):
+    velocity, acceleration, with_encoders = motion.velocity, motion.acceleration, motion.with_encoders
+    if np.any(np.isfinite(arm.stiffness[~with_encoders])):
         rate, change = _deflection_derivatives(motion, transmitted, arm, (1, 2))
         velocity, acceleration = velocity + rate, acceleration + change
-    if not np.any(own):
+    if not np.any(with_encoders):
         return velocity, acceleration
-    return np.where(own, motion.motor_velocity, velocity), np.where(own, motion.motor_acceleration, acceleration)
+    velocity = np.where(with_encoders, motion.motor_velocity, velocity)
+    return velocity, np.where(with_encoders, motion.motor_acceleration, acceleration)
 
 
 def _deflection_derivatives(motion: Motion, transmitted: Array, arm: ArmPhysics, orders: Sequence[int]) -> list[Array]:
@@ -424,7 +425,7 @@ def _inverse_dynamics(model: RobotModel, motion: Motion) -> Array:
     return np.array([pin.rnea(model.pinocchio, model.data, *state) for state in states])
 
 
-def _state(motion: Motion, model: RobotModel, impact_position: Array) -> tuple[LoadState, Array]:
+def _load_state(motion: Motion, model: RobotModel, impact_position: Array) -> tuple[LoadState, Array]:
     """Arguments of loads along a motion, and the linear part of the Jacobians, ``(k, 3, n)``."""
     jacobian = np.array([model.jacobian(q)[:3] for q in motion.position])
     state = LoadState(
@@ -455,9 +456,9 @@ class TorqueBalance:
         self.joints = np.flatnonzero(np.all([motion.measured for motion in motions], axis=0))
         self.elastic = np.flatnonzero(np.all([motion.with_encoders for motion in motions], axis=0))
         self._regressors: dict[bytes, list[Array]] = {}
-        self._known_states: dict[bytes, list[tuple[LoadState, Array]]] = {}
-        self._kept: tuple[tuple[object, ...], RobotModel] | None = None
-        self._known_motions: tuple[ArmReadings, list[Motion]] | None = None
+        self._cached_states: dict[bytes, list[tuple[LoadState, Array]]] = {}
+        self._cached_model: tuple[tuple[object, ...], RobotModel] | None = None
+        self._cached_motions: tuple[ArmReadings, list[Motion]] | None = None
 
     def predict(self, physics: Physics) -> Array:
         """Predicted torque of :attr:`joints` and deflection of :attr:`elastic`, ``(k, m + e)`` [N m, rad].
@@ -479,7 +480,7 @@ class TorqueBalance:
         rows = []
         motions = self._true_motions(arm.readings)
         for number, (motion, rigid) in enumerate(zip(motions, self._rigid_torques(physics), strict=True)):
-            velocity, acceleration = _of_motors(motion, rigid, arm)
+            velocity, acceleration = _motor_motion(motion, rigid, arm)
             torque = rigid + arm.motor_inertia_reduced * acceleration if self._at_motor else rigid
             if not arm.friction.is_zero:
                 viscous = arm.friction.viscous_torque(velocity)
@@ -489,17 +490,17 @@ class TorqueBalance:
                 torque = torque - self._load_torques(physics, number, rigid)
             torque = motion.low_pass((torque - arm.torque_offset) / arm.torque_gain)
             if motion.servo is not None:
-                torque = torque + motion.servo.lost(arm.actuation_delay + arm.readings.command_delay)
+                torque = torque + motion.servo.delay_loss(arm.actuation_delay + arm.readings.command_delay)
             rows.append(arm.readings.torque(motion.time, torque, 0.0))
         return rows
 
-    def lost(self, physics: Physics) -> Array:
+    def delay_loss(self, physics: Physics) -> Array:
         """Part of :meth:`predict` by which commands of servos that act late change their torque, ``(k, m)`` [N m]."""
         arm = physics.arms[ARM]
         delay = arm.actuation_delay + arm.readings.command_delay
         return np.concatenate(
             [
-                (np.zeros_like(motion.torque) if motion.servo is None else motion.servo.lost(delay))[motion.kept]
+                (np.zeros_like(motion.torque) if motion.servo is None else motion.servo.delay_loss(delay))[motion.kept]
                 for motion in self.motions
             ]
         )[:, self.joints]
@@ -522,17 +523,19 @@ class TorqueBalance:
         """True motions from the readings, cached while effects change other parts of the physics."""
         if readings.exact_motion:
             return self.motions
-        if self._known_motions is None or self._known_motions[0] is not readings:
-            self._known_motions = readings, [motion.of(readings) for motion in self.motions]
-        return self._known_motions[1]
+        if self._cached_motions is None or self._cached_motions[0] is not readings:
+            self._cached_motions = readings, [motion.of(readings) for motion in self.motions]
+        return self._cached_motions[1]
 
     def _model(self, physics: Physics) -> RobotModel:
         """Rigid-body model of the arm, cached while effects change other parts of the physics."""
         arm = physics.arms[ARM]
         parts = (arm.facts, arm.end_effector, arm.base, physics.gravity)
-        if self._kept is None or any(one is not other for one, other in zip(parts, self._kept[0], strict=True)):
-            self._kept = parts, physics.robot_model(ARM)
-        return self._kept[1]
+        if self._cached_model is None or any(
+            part is not cached for part, cached in zip(parts, self._cached_model[0], strict=True)
+        ):
+            self._cached_model = parts, physics.robot_model(ARM)
+        return self._cached_model[1]
 
     def _rigid_torques(self, physics: Physics) -> list[Array]:
         """M ddq + h = Y pi, linear in the inertial parameters pi of all links, ``(k, n)`` each [N m]."""
@@ -578,9 +581,9 @@ class TorqueBalance:
         key = np.concatenate((model.placement(start).homogeneous.ravel(), arm.impact_position)).tobytes()
         motions = self._true_motions(arm.readings)
         key += b"".join(motion.position[:1].tobytes() + motion.velocity[:1].tobytes() for motion in motions)
-        if key not in self._known_states:
-            self._known_states = {key: [_state(motion, model, arm.impact_position) for motion in motions]}
-        return self._known_states[key]
+        if key not in self._cached_states:
+            self._cached_states = {key: [_load_state(motion, model, arm.impact_position) for motion in motions]}
+        return self._cached_states[key]
 
     @cached_property
     def recorded(self) -> Array:
@@ -588,8 +591,8 @@ class TorqueBalance:
         bent = [motion.deflection[motion.kept][:, self.elastic] for motion in self.motions]
         return np.concatenate(
             [
-                np.hstack((motion.torque[motion.kept][:, self.joints], own - own.mean(axis=0)))
-                for motion, own in zip(self.motions, bent, strict=True)
+                np.hstack((motion.torque[motion.kept][:, self.joints], deflection - deflection.mean(axis=0)))
+                for motion, deflection in zip(self.motions, bent, strict=True)
             ]
         )
 

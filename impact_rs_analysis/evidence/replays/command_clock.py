@@ -53,7 +53,7 @@ def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_
     """
     read = [read_laboratory(directory, experiment, map_tasks) for experiment in experiments]
     runs, skipped = ([item for part in parts for item in part] for parts in zip(*read, strict=True))
-    remarks = [(run.name, one) for run in runs for one in run.remarks]
+    remarks = [(run.name, text) for run in runs for text in run.remarks]
     estimates = {arm: command_offset(runs, arm) for arm in runs[0].signals.arms}
     offsets = {arm: offset for arm, (offset, _) in estimates.items()}
     runs = [run.commands_later(offsets) for run in runs]
@@ -74,19 +74,19 @@ def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_
         for run in measured
         if isinstance(run, MeasuredRun) and run.lost
     ]
-    found = Runs.of(directory, [*measured, *skipped])
+    measured_runs = Runs.of(directory, [*measured, *skipped])
     clock = MAX_OFFSET_PERIODS * max((run.period for run in runs if run.commanded), default=0.0)
-    late = _late(found, runs, {arm: error for arm, (_, error) in estimates.items()}, map_tasks)
-    return replace(found, remarks=tuple(merged(remarks)), clock=clock, late=late)
+    late = _late(measured_runs, runs, {arm: error for arm, (_, error) in estimates.items()}, map_tasks)
+    return replace(measured_runs, remarks=tuple(merged(remarks)), clock=clock, late=late)
 
 
-def _late(found: Runs, runs: Sequence[Run], errors: Mapping[str, float], map_tasks: Map) -> dict[str, MeasuredRun]:
+def _late(measured: Runs, runs: Sequence[Run], errors: Mapping[str, float], map_tasks: Map) -> dict[str, MeasuredRun]:
     """The first run of every condition with commands that act later by a standard error of their offset."""
     if not any(errors.values()):
         return {}
-    known = {run.path: run for run in runs}
-    firsts = {condition: own[0] for condition, own in found.conditions.items()}
-    shifted = map_tasks(measured_or_why_not, [known[first.path].commands_later(errors) for first in firsts.values()])
+    by_path = {run.path: run for run in runs}
+    firsts = {condition: repeats[0] for condition, repeats in measured.conditions.items()}
+    shifted = map_tasks(measured_or_why_not, [by_path[first.path].commands_later(errors) for first in firsts.values()])
     return {
         condition: late.only(set(first.features))
         for (condition, first), late in zip(firsts.items(), shifted, strict=True)
@@ -132,20 +132,20 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
             terms, turns = _window_terms(run, name, run.signals.arms[name], start)
             for joint in np.flatnonzero(np.logical_not(turns)).tolist():
                 rows.setdefault(joint, []).append(terms[joint])
-    tables = [np.array(own) for own in rows.values() if len(own) >= MIN_WINDOWS_OF_JOINT]
+    tables = [np.array(windows) for windows in rows.values() if len(windows) >= MIN_WINDOWS_OF_JOINT]
     if not tables:
         return 0.0, 0.0
-    slopes, rests = [], []
+    slopes, residuals = [], []
     for table in tables:
         balance, slope, regressors = table[:, 0], table[:, 1], table[:, 2:]
         design = np.column_stack((np.ones(len(table)), regressors))
         basis = np.linalg.qr(design / np.maximum(np.linalg.norm(design, axis=0), 1e-12))[0]
         slopes.append(slope - basis @ (basis.T @ slope))
-        rests.append(balance - basis @ (basis.T @ balance))
+        residuals.append(balance - basis @ (basis.T @ balance))
     # Weights: the inverse noise of each joint.
-    weights = [1.0 / max(float(np.std(rest)), 1e-9) for rest in rests]
+    weights = [1.0 / max(float(np.std(residual)), 1e-9) for residual in residuals]
     a = np.concatenate([weight * slope for weight, slope in zip(weights, slopes, strict=True)])
-    b = np.concatenate([weight * rest for weight, rest in zip(weights, rests, strict=True)])
+    b = np.concatenate([weight * residual for weight, residual in zip(weights, residuals, strict=True)])
     offset = float(a @ b / (a @ a))
     error = float(np.sqrt(np.mean(np.square(b - offset * a)) / (a @ a)))
     # The time at which the torque loop takes a command within its period is unknown: uniform, half a period either way.

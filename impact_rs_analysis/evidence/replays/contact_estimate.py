@@ -55,15 +55,15 @@ class ContactEstimate:
     @property
     def item(self) -> ModelEffect | None:
         """The effect as an entry of a model, with 95 % intervals; None: a parameter is out of its range."""
-        found = {}
+        parameters = {}
         for scalar, value, deviation in zip(
             self.effect.scalars(ONE_JOINT), self.values.tolist(), self.deviations.tolist(), strict=True
         ):
             if not scalar.lower <= value <= scalar.upper:
                 return None
-            half = NORMAL_95 * deviation
-            found[scalar.name] = ParameterValue(estimate=value, unit=scalar.unit, ci95=(value - half, value + half))
-        return ModelEffect(name=self.effect.name, parameters=found)
+            ci95 = value - NORMAL_95 * deviation, value + NORMAL_95 * deviation
+            parameters[scalar.name] = ParameterValue(estimate=value, unit=scalar.unit, ci95=ci95)
+        return ModelEffect(name=self.effect.name, parameters=parameters)
 
 
 def contact_starts(effect: Effect, runs: Sequence[MeasuredRun]) -> list[Array]:
@@ -75,8 +75,8 @@ def contact_starts(effect: Effect, runs: Sequence[MeasuredRun]) -> list[Array]:
     units = [scalar.unit for scalar in effect.scalars(ONE_JOINT)]
     kinds = list(dict.fromkeys(units))
     masks = [[unit == kind for unit in units] for kind in kinds] if len(kinds) > 1 else []
-    found = [contact_estimate(effect, runs, mask) for mask in (*masks, [True] * len(units))]
-    return [one.values for one in found if one is not None]
+    estimates = [contact_estimate(effect, runs, mask) for mask in (*masks, [True] * len(units))]
+    return [estimate.values for estimate in estimates if estimate is not None]
 
 
 def contact_estimate(
@@ -102,7 +102,7 @@ def contact_estimate(
     scales = scales if free is None else scales * np.array(free)
 
     def distances(vector: Array) -> Array:
-        return np.array([one for impact in impacts for one in _distances(effect, vector, *impact)])
+        return np.array([distance for impact in impacts for distance in _distances(effect, vector, *impact)])
 
     before = distances(nominal)
     if not before.size or np.mean(np.square(before)) < DISTANCE_SD_M**2:
@@ -111,11 +111,11 @@ def contact_estimate(
     def residuals(change: Array) -> Array:
         return np.append(distances(nominal + scales * change) / DISTANCE_SD_M, change)
 
-    found = scipy.optimize.least_squares(residuals, np.zeros_like(nominal))
-    rest, jacobian = found.fun[: before.size], found.jac[: before.size]
-    scatter = max(1.0, float(rest @ rest) / max(1, before.size - int(np.count_nonzero(scales))))
+    solution = scipy.optimize.least_squares(residuals, np.zeros_like(nominal))
+    residual, jacobian = solution.fun[: before.size], solution.jac[: before.size]
+    scatter = max(1.0, float(residual @ residual) / max(1, before.size - int(np.count_nonzero(scales))))
     covariance = np.linalg.inv(jacobian.T @ jacobian / scatter + np.eye(nominal.size))
-    return ContactEstimate(effect, nominal + scales * found.x, scales * np.sqrt(np.diag(covariance)))
+    return ContactEstimate(effect, nominal + scales * solution.x, scales * np.sqrt(np.diag(covariance)))
 
 
 def _placements(run: MeasuredRun) -> Mapping[str, pin.SE3]:

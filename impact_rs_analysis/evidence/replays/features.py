@@ -144,8 +144,8 @@ def extract(
         )
         if commands[0]:
             parts += [
-                f.motor_balance(own[name], physics.motor_inertia_reduced)
-                for f, own in zip(free, commands, strict=False)
+                f.motor_balance(torques[name], physics.motor_inertia_reduced)
+                for f, torques in zip(free, commands, strict=False)
             ]
         parts += [f.link_balance for f in free]
         if motor:
@@ -172,8 +172,8 @@ def extract(
             parts.append(_in_rows(velocity[:, : len(OBJECT_WINDOWS_S)]))
             parts.append(_in_rows(velocity[:, len(OBJECT_WINDOWS_S) :, :2]))
     rows = np.concatenate(parts, axis=1)
-    found = np.atleast_1d(np.all(np.isfinite(onsets), axis=0)) if onsets else np.full(len(rows), True)
-    return [row if hits else None for row, hits in zip(rows, found, strict=True)]
+    hit = np.atleast_1d(np.all(np.isfinite(onsets), axis=0)) if onsets else np.full(len(rows), True)
+    return [row if impact else None for row, impact in zip(rows, hit, strict=True)]
 
 
 def _in_rows(values: Array) -> Array:
@@ -207,8 +207,8 @@ def onsets_of(time: Array, velocity: Array, level: float) -> Array:
     loss, _ = _loss(time, velocity)
     rising = (loss[:, :-1] < level) & (loss[:, 1:] >= level)
     row = np.argmax(rising, axis=1)
-    every = np.arange(len(loss))
-    before, after = loss[every, row], loss[every, row + 1]
+    simulations = np.arange(len(loss))
+    before, after = loss[simulations, row], loss[simulations, row + 1]
     with np.errstate(divide="ignore", invalid="ignore"):
         moment = time[row] + (level - before) / (after - before) * (time[row + 1] - time[row])
     return np.asarray(np.where(rising.any(axis=1), moment, np.nan))
@@ -241,8 +241,8 @@ def _push_features(onset: Array, dynamics: Balances, pushes: int) -> list[Array]
     motor, link = dynamics.balance(begin, stop)
     wrench = dynamics.wrench_at(0.5 * (begin + stop), link)
     velocity = _Integral(dynamics.time, dynamics.twists[..., :3]).mean(begin, stop)
-    known = [motor] if dynamics.command is not None else []
-    return [_in_rows(values) for values in (*known, wrench[..., :3], wrench[..., 3:], velocity)]
+    motor_features = [motor] if dynamics.command is not None else []
+    return [_in_rows(values) for values in (*motor_features, wrench[..., :3], wrench[..., 3:], velocity)]
 
 
 class _Integral:
@@ -271,8 +271,8 @@ class _Integral:
 def _between(time: Array, values: Array, moments: Array) -> Array:
     row = np.clip(np.searchsorted(time, moments) - 1, 0, time.size - 2)
     share = ((moments - time[row]) / (time[row + 1] - time[row]))[..., None]
-    every = np.arange(len(values))[:, None]
-    return np.asarray((1.0 - share) * values[every, row] + share * values[every, row + 1])
+    simulations = np.arange(len(values))[:, None]
+    return np.asarray((1.0 - share) * values[simulations, row] + share * values[simulations, row + 1])
 
 
 def _slope(time: Array, values: Array) -> Array:
@@ -294,9 +294,9 @@ def _momenta(model: RobotModel, arm: ArmSignals, rows: NDArray[np.intp] | slice)
     """M dq, C^T dq - g and the twist of E along the rows of several motions, ``(B, r, .)``."""
     q, dq = arm.position[:, rows], arm.velocity[:, rows]
     joints = q.shape[-1]
-    found = model.chain.momentum(q.reshape(-1, joints), dq.reshape(-1, joints))
-    momentum, known, twist = (values.reshape(*q.shape[:2], -1) for values in found)
-    return momentum, known, twist
+    chain_terms = model.chain.momentum(q.reshape(-1, joints), dq.reshape(-1, joints))
+    momentum, model_rate, twist = (values.reshape(*q.shape[:2], -1) for values in chain_terms)
+    return momentum, model_rate, twist
 
 
 def _middle(start: Array, end: Array) -> tuple[Array, Array]:
@@ -365,14 +365,14 @@ class FreeBalances:
         rows = _coarse(ticks)
         change, mean = _weights(ticks)
         coarse_change, coarse_mean = _weights(_ticks(time[rows]))
-        momentum, known, _ = _momenta(model, arm, rows)
+        momentum, model_rate, _ = _momenta(model, arm, rows)
         if motor:
             acceleration, spring_rate = change @ arm.motor_velocity, mean @ (arm.motor_velocity - arm.velocity)
         else:
             ramp, rate = (weights @ arm.torque / physics.stiffness for weights in _weights_of_slope(ticks))
             acceleration, spring_rate = change @ arm.velocity + ramp, rate
         transmitted = mean @ arm.torque + physics.damping * spring_rate
-        link = transmitted + coarse_mean @ known - coarse_change @ momentum
+        link = transmitted + coarse_mean @ model_rate - coarse_change @ momentum
         return FreeBalances(time, acceleration, transmitted, link)
 
     @property
@@ -394,14 +394,14 @@ def _free_balances(
     alike: dict[bytes, list[int]] = {}
     for number, window in enumerate(windows):
         alike.setdefault(_ticks(window.time), []).append(number)
-    found: dict[int, FreeBalances] = {}
+    balances: dict[int, FreeBalances] = {}
     for numbers in alike.values():
         together = ArmSignals.joined([windows[number].arms[name] for number in numbers])
         whole = FreeBalances.of(windows[numbers[0]].time, together, physics, model, motor)
-        parts = (np.split(one, len(numbers)) for one in (whole.acceleration, whole.transmitted, whole.link_balance))
+        parts = (np.split(array, len(numbers)) for array in (whole.acceleration, whole.transmitted, whole.link_balance))
         for number, part in zip(numbers, zip(*parts, strict=True), strict=True):
-            found[number] = FreeBalances(windows[number].time, *part)
-    return [found[number] for number in range(len(windows))]
+            balances[number] = FreeBalances(windows[number].time, *part)
+    return [balances[number] for number in range(len(windows))]
 
 
 class Balances:
@@ -426,13 +426,13 @@ class Balances:
         motor: bool,
     ) -> None:
         self.time, self.arm, self.command, self.physics, self.model = time, arm, command, physics, model
-        momentum, known, self.twists = _momenta(model, arm, slice(None))
+        momentum, model_rate, self.twists = _momenta(model, arm, slice(None))
         spring_rate = _spring_rate(time, arm, physics, motor)
         self._damped = _Integral(time, arm.torque + physics.damping * spring_rate)
         self._command = None if command is None else _Integral(time, command[None])
         self._motor_velocity = _Integral(time, arm.velocity + spring_rate)
         self._momentum = _Integral(time, momentum)
-        self._known = _Integral(time, known)
+        self._model_rates = _Integral(time, model_rate)
 
     def balance(self, start: Array, end: Array) -> tuple[Array, Array]:
         """Motor- and link-side balance over bins ``(B, w)`` [s], ``(B, w, n)`` [N m]; the former 0 without command."""
@@ -440,7 +440,7 @@ class Balances:
         ramp, _ = _change_and_mean(self._motor_velocity, start, end)
         damped = self._damped.mean(begin, stop)
         change, _ = _change_and_mean(self._momentum, start, end)
-        link = damped + self._known.mean(begin, stop) - change
+        link = damped + self._model_rates.mean(begin, stop) - change
         if self._command is None:
             return np.zeros_like(link), link
         return self._command.mean(begin, stop) - damped - self.physics.motor_inertia_reduced * ramp, link
@@ -448,7 +448,7 @@ class Balances:
     def link_balance(self, start: Array, end: Array) -> Array:
         """Link-side balance over short windows that begin and end between ticks, ``(B, w, n)`` [N m]."""
         change = (self._momentum.at(end) - self._momentum.at(start)) / (end - start)[..., None]
-        return (self._damped.mean(start, end) + self._known.mean(start, end)) - change
+        return (self._damped.mean(start, end) + self._model_rates.mean(start, end)) - change
 
     def wrench_at(self, moments: Array, balances: Array) -> Array:
         """Contact wrench of the arm on its environment from link-side balances, at E in E[A], ``(B, w, 6)`` [N, N m].
@@ -467,8 +467,8 @@ class Balances:
     def _at(self, q: Array) -> tuple[Array, Array]:
         """Jacobians of E ``(k, 6, n)`` and mass matrices ``(k, n, n)``."""
         jacobians, masses = np.empty((len(q), 6, q.shape[1])), np.empty((len(q), q.shape[1], q.shape[1]))
-        for row, own in enumerate(q):
-            jacobians[row], masses[row] = self.model.jacobian(own), self.model.mass_matrix(own)
+        for row, position in enumerate(q):
+            jacobians[row], masses[row] = self.model.jacobian(position), self.model.mass_matrix(position)
         return jacobians, masses
 
 
@@ -479,13 +479,13 @@ def _object_velocity(poses: Poses, start: Array, end: Array) -> Array:
     a sample enters the window.
     """
     time = poses.time
-    seen = np.searchsorted(time, end, side="right") - np.searchsorted(time, start)
+    sample_count = np.searchsorted(time, end, side="right") - np.searchsorted(time, start)
     if time.size < 2:
         return np.zeros((*start.shape, 3))
     pose = _Integral(time, np.concatenate((poses.position[..., :2], poses.yaw[..., None]), axis=-1))
     third = (end - start) / 3.0
     slope = (pose.mean(end - third, end) - pose.mean(start, start + third)) / (2.0 * third)[..., None]
-    return np.where(seen[..., None] < 2, 0.0, slope)
+    return np.where(sample_count[..., None] < 2, 0.0, slope)
 
 
 def pushes_recorded(onset: float, end: float) -> int:

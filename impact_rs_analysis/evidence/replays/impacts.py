@@ -31,7 +31,7 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
     Raises:
         InputError: An arm has no impact.
     """
-    found = {}
+    impacts = {}
     for name, arm in run.signals.arms.items():
         model = run.physics.robot_model(name)
         time = run.signals.time
@@ -48,8 +48,8 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
             begin = math.nan if level is None else float(onsets_of(time[rows], velocity[None, rows], level)[0])
         if math.isnan(begin) or level is None:
             raise InputError(f"arm {name!r} hits nothing: no sudden force slows it down")
-        found[name] = (begin, level)
-    return found
+        impacts[name] = (begin, level)
+    return impacts
 
 
 @dataclass(frozen=True)

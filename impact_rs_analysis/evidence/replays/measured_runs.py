@@ -50,7 +50,7 @@ class Setup:
         motor: Whether motor position and velocity are used.
         bodies: Names of the tracked objects whose features are used: ``object``, then its neighbours.
         pushes: Number of bins of the push; None: free motion.
-        kept: Mask of the features that are used.
+        used: Indices of the features that are used, in the layout.
         levels: By arm, loss of speed that marks the begin of the impact [m/s].
     """
 
@@ -61,21 +61,27 @@ class Setup:
     motor: bool
     bodies: tuple[str, ...]
     pushes: int | None
-    kept: tuple[int, ...]
+    used: tuple[int, ...]
     levels: dict[str, float]
 
     @cached_property
     def digest(self) -> str:
         """Digest of the content."""
-        facts = self.physics, self.drive_period, self.drive, self.motor, bool(self.bodies), self.pushes, self.kept
+        facts = self.physics, self.drive_period, self.drive, self.motor, bool(self.bodies), self.pushes, self.used
         with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # to the last bit
             text = [repr((facts, self.levels)), *self.bodies[1:]]  # digests of documents from before stay
             text += [repr(arm.tool_spring) for arm in self.physics.arms.values() if arm.tool_spring is not None]
             text += [repr(self.physics.object.guide)] if self.physics.object.guide is not None else []
         for window in self.windows:
             text.append(repr(window.contact))
-            text += [hashlib.sha256(times.tobytes()).hexdigest() for times in window.seen_beside.values()]
-            arrays = [window.time, window.seen, window.object.position, window.object.rotation, window.object.twist]
+            text += [hashlib.sha256(times.tobytes()).hexdigest() for times in window.neighbour_times.values()]
+            arrays = [
+                window.time,
+                window.tracked_times,
+                window.object.position,
+                window.object.rotation,
+                window.object.twist,
+            ]
             for name, arm in window.arms.items():
                 drive = window.drives[name]
                 arrays += [arm.position, arm.velocity, drive.torque, drive.torque_rate]
@@ -93,11 +99,11 @@ class Setup:
     def _part(self, contact: bool) -> Setup:
         """The window about the impact, or those of free motion, with their features."""
         windows = tuple(window for window in self.windows if window.contact == contact)
-        own = [number for number, feature in enumerate(self._layout) if (feature.phase != "free") == contact]
-        kept = tuple(own.index(number) for number in self.kept if number in own)
+        part_features = [index for index, feature in enumerate(self._layout) if (feature.phase != "free") == contact]
+        used = tuple(part_features.index(index) for index in self.used if index in part_features)
         if contact:
-            return replace(self, windows=windows, kept=kept)
-        return replace(self, windows=windows, kept=kept, pushes=None, bodies=())
+            return replace(self, windows=windows, used=used)
+        return replace(self, windows=windows, used=used, pushes=None, bodies=())
 
     @cached_property
     def parts(self) -> tuple[tuple[Setup, NDArray[np.intp]], ...]:
@@ -105,7 +111,7 @@ class Setup:
 
         The windows of a replay do not depend on each other.
         """
-        contact = np.array([self._layout[number].phase != "free" for number in self.kept])
+        contact = np.array([self._layout[number].phase != "free" for number in self.used])
         if np.all(contact == contact[:1]):
             return ((self, np.arange(contact.size)),)
         return tuple((self._part(which), np.flatnonzero(contact == which)) for which in (False, True))
@@ -139,16 +145,16 @@ class Setup:
         stable = [all(map(_finite, windows)) for windows in simulations]
         if not all(stable):
             rows = iter(
-                self.features_of_all([windows for windows, kept in zip(simulations, stable, strict=True) if kept])
+                self.features_of_all([windows for windows, finite in zip(simulations, stable, strict=True) if finite])
             )
-            return [next(rows) if kept else np.full(len(self.kept), np.nan) for kept in stable]
+            return [next(rows) if finite else np.full(len(self.used), np.nan) for finite in stable]
         if not simulations:
             return []
         arms = {
             name: (arm, _models.of((self._nominal, name), partial(self.physics.robot_model, name)))
             for name, arm in self.physics.arms.items()
         }
-        found = extract(
+        features = extract(
             [Signals.stack(windows) for windows in zip(*simulations, strict=True)],
             [
                 {name: window.commanded(name) for name in window.torque} if self.drive == "command" else {}
@@ -161,8 +167,8 @@ class Setup:
             self.pushes,
             self.levels,
         )
-        kept = list(self.kept)
-        return [None if row is None else row[kept] for row in found]
+        columns = list(self.used)
+        return [None if row is None else row[columns] for row in features]
 
     def replayed(self, physics: Physics) -> list[Signals]:
         """Simulation of the windows under other physics.
@@ -174,7 +180,7 @@ class Setup:
 
     def replayed_all(self, physics: Sequence[Physics], threads: int = 1) -> list[list[Signals]]:
         """Simulations of the windows, one under each physics, as :meth:`replayed`."""
-        return replays([(self.windows, one) for one in physics], self.drive_period, self.drive, threads)
+        return replays([(self.windows, variant) for variant in physics], self.drive_period, self.drive, threads)
 
 
 def _finite(signals: Signals) -> bool:
@@ -207,13 +213,13 @@ class MeasuredRun(Run):
         Raises:
             InputError: An expected impact is missing, or the signals do not cover the windows.
         """
-        found = impacts_of(run) if run.hit else {}
-        impacts = {name: begin for name, (begin, _) in found.items()}
+        impact_levels = impacts_of(run) if run.hit else {}
+        impacts = {name: begin for name, (begin, _) in impact_levels.items()}
         windows = windows_of(run, impacts)
         starts = free_starts(run, impacts)
         if not windows:
-            what = "gaps leave no window" if starts else "no joint moves for the length of a window"
-            raise InputError(f"{what} of free motion")
+            reason = "gaps leave no window" if starts else "no joint moves for the length of a window"
+            raise InputError(f"{reason} of free motion")
         pushes = pushes_recorded(max(impacts.values()), float(windows[-1].time[-1])) if impacts else None
         tracked = tuple(name for name, poses in run.signals.poses.items() if impacts and poses.time.size > 1)
         bodies = tracked if "object" in tracked else ()
@@ -238,8 +244,8 @@ class MeasuredRun(Run):
             motor=run.motor_measured,
             bodies=bodies,
             pushes=pushes,
-            kept=tuple(range(len(features))),
-            levels={name: level for name, (_, level) in found.items()},
+            used=tuple(range(len(features))),
+            levels={name: level for name, (_, level) in impact_levels.items()},
         )
         measured = setup.features_of([_within(run.signals, window) for window in windows])
         if measured is None:
@@ -248,9 +254,9 @@ class MeasuredRun(Run):
             raise InputError("its signals do not cover the windows about the impact")
         largest = int(np.argmax(np.abs(measured)))
         if abs(measured[largest]) > MAX_FEATURE:
-            one = features[largest]
+            feature = features[largest]
             raise InputError(
-                f"{one.signal} {one.index} of {measured[largest]:.3g} {one.unit}, which no sensor measures"
+                f"{feature.signal} {feature.index} of {measured[largest]:.3g} {feature.unit}, which no sensor measures"
             )
         return cls(
             **vars(run),
@@ -282,10 +288,10 @@ class MeasuredRun(Run):
         rows = [number for number, feature in enumerate(self.features) if feature in features]
         if len(rows) == len(self.features):
             return self
-        kept = tuple(self.setup.kept[row] for row in rows)
+        used = tuple(self.setup.used[row] for row in rows)
         return replace(
             self,
-            setup=replace(self.setup, kept=kept),
+            setup=replace(self.setup, used=used),
             features=tuple(self.features[row] for row in rows),
             measured=self.measured[rows],
         )
@@ -296,9 +302,9 @@ def _within(signals: Signals, window: Window) -> Signals:
     first = int(np.argmin(np.abs(signals.time - window.time[0])))
     rows = slice(first, first + window.time.size)
     arms = {name: arm.at(rows) for name, arm in signals.arms.items()}
-    seen = signals.object.at(window.seen)
-    neighbours = {name: signals.neighbours[name].at(times) for name, times in window.seen_beside.items()}
-    return Signals(window.time, arms, seen.time, seen.position, seen.quaternion, neighbours)
+    poses = signals.object.at(window.tracked_times)
+    neighbours = {name: signals.neighbours[name].at(times) for name, times in window.neighbour_times.items()}
+    return Signals(window.time, arms, poses.time, poses.position, poses.quaternion, neighbours)
 
 
 _models = Recent[RobotModel](CACHED_MODELS)
@@ -344,10 +350,10 @@ class Runs:
     @property
     def conditions(self) -> dict[str, list[MeasuredRun]]:
         """Repeats by condition, in order of appearance."""
-        found: dict[str, list[MeasuredRun]] = {}
+        repeats: dict[str, list[MeasuredRun]] = {}
         for run in self.runs:
-            found.setdefault(run.condition, []).append(run)
-        return found
+            repeats.setdefault(run.condition, []).append(run)
+        return repeats
 
     def since(self, when: str) -> Runs:
         """The runs that were measured from a given time on.
@@ -360,15 +366,15 @@ class Runs:
         """
         names = {run.path: run.path.relative_to(self.directory).as_posix() for run in self.runs}
         stamps = {names[run.path]: recorded_at(run.path) if run.recorded is None else run.recorded for run in self.runs}
-        found = measured_since(when, stamps)
-        kept = tuple(run for run in self.runs if names[run.path] in found)
-        return replace(self.only(kept, f"only runs since {when}: {len(kept)} of {len(self.runs)}"), part=True)
+        names_since = measured_since(when, stamps)
+        runs = tuple(run for run in self.runs if names[run.path] in names_since)
+        return replace(self.only(runs, f"only runs since {when}: {len(runs)} of {len(self.runs)}"), part=True)
 
-    def only(self, kept: Sequence[MeasuredRun], remark: str) -> Runs:
+    def only(self, runs: Sequence[MeasuredRun], remark: str) -> Runs:
         """Some of the runs, with a remark on the others."""
-        paths = {run.path for run in kept}
+        paths = {run.path for run in runs}
         late = {condition: run for condition, run in self.late.items() if run.path in paths}
-        return replace(self, runs=tuple(kept), remarks=(*self.remarks, remark), late=late)
+        return replace(self, runs=tuple(runs), remarks=(*self.remarks, remark), late=late)
 
     def named(self, specs: Mapping[Path, TrialSpec]) -> Runs:
         """The runs with the condition names of the planned trials.
@@ -403,7 +409,7 @@ class Runs:
             common.setdefault(run.condition, set(run.features)).intersection_update(run.features)
             free[run.condition] = min(run.free, free.get(run.condition, run.free))
         shared = [replace(run.only(common[run.condition]), free=free[run.condition]) for run in runs]
-        return Runs(directory, _alike(_with_ages(shared)), skipped)
+        return Runs(directory, _with_equal_windows(_with_ages(shared)), skipped)
 
 
 def _with_ages(runs: list[MeasuredRun]) -> list[MeasuredRun]:
@@ -411,10 +417,10 @@ def _with_ages(runs: list[MeasuredRun]) -> list[MeasuredRun]:
     times: dict[str, list[float]] = {}
     for run in runs:
         times.setdefault(run.condition, []).append(np.nan if run.recorded is None else run.recorded)
-    first = min(min(own) for own in times.values())
-    if any(np.isnan(own).any() for own in times.values()):
+    first = min(min(recorded) for recorded in times.values())
+    if any(np.isnan(recorded).any() for recorded in times.values()):
         return runs
-    ages = {condition: float(np.mean(own)) - first for condition, own in times.items()}
+    ages = {condition: float(np.mean(recorded)) - first for condition, recorded in times.items()}
 
     def aged(run: MeasuredRun) -> MeasuredRun:
         windows = tuple(replace(window, age=ages[run.condition]) for window in run.setup.windows)
@@ -423,15 +429,15 @@ def _with_ages(runs: list[MeasuredRun]) -> list[MeasuredRun]:
     return [aged(run) for run in runs]
 
 
-def _alike(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:
+def _with_equal_windows(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:
     """The runs without windows that have a gap in any run of their family, so that conditions share a pure error.
 
     If that would drop more than ``MAX_DROPPED_WINDOW_SHARE`` of the windows, the runs stay unchanged.
     """
-    left: dict[tuple[object, ...], set[Feature]] = {}
+    shared: dict[tuple[object, ...], set[Feature]] = {}
     for run in runs:
-        left.setdefault(run.family, set(run.features)).intersection_update(run.features)
-    alike = [run.only(left[run.family]) for run in runs]
+        shared.setdefault(run.family, set(run.features)).intersection_update(run.features)
+    alike = [run.only(shared[run.family]) for run in runs]
     torn = {run.family for run in alike if len(run.lost) > MAX_DROPPED_WINDOW_SHARE * run.free}
     return tuple(old if old.family in torn else new for old, new in zip(runs, alike, strict=True))
 
@@ -454,11 +460,11 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
         InputError: The folder does not exist or holds no usable trial.
     """
     bags = trials_below(directory)
-    found = Runs.of(directory, map_tasks(read_trial, bags))
-    skipped = {path for path, _ in found.skipped}
+    runs = Runs.of(directory, map_tasks(read_trial, bags))
+    skipped = {path for path, _ in runs.skipped}
     remark = unsealed_words(sum(not declares_checksums(bag) for bag in bags if str(bag) not in skipped))
-    of_runs = dict.fromkeys(remark for run in found.runs for remark in run.remarks)
-    return replace(found, remarks=(*((remark,) if remark else ()), *of_runs))
+    of_runs = dict.fromkeys(remark for run in runs.runs for remark in run.remarks)
+    return replace(runs, remarks=(*((remark,) if remark else ()), *of_runs))
 
 
 def runs_digest(directory: Path) -> str:

@@ -62,8 +62,8 @@ class Window:
         object: State of the object at its start.
         torque: By arm, driving torques in the order in which they act, ``(m, n)`` [N m].
         acting: By arm, row of ``torque`` in every period of the torque loop, ``((k - 1) s,)``.
-        seen: Times at which the object was tracked, ``(m,)`` [s].
-        seen_beside: Likewise its neighbours, by name.
+        tracked_times: Times at which the object was tracked, ``(m,)`` [s].
+        neighbour_times: Likewise its neighbours, by name.
         before: By arm, samples from the begin of the run to the start (:attr:`TwinJob.before`).
         from_velocity: By arm, what velocity readings, their slopes and their curvatures contribute to position and
             velocity of the start, ``(3, 2, n)`` [rad and rad/s over s^0, s^1, s^2].
@@ -79,12 +79,12 @@ class Window:
     object: BodyState
     torque: dict[str, Array]
     acting: dict[str, NDArray[np.int32]]
-    seen: Array
+    tracked_times: Array
     before: dict[str, Array] = field(default_factory=dict)
     from_velocity: dict[str, Array] = field(default_factory=dict)
     velocity: dict[str, Array] = field(default_factory=dict)
     age: float = 0.0
-    seen_beside: dict[str, Array] = field(default_factory=dict)
+    neighbour_times: dict[str, Array] = field(default_factory=dict)
 
     @property
     def substeps(self) -> int:
@@ -116,12 +116,12 @@ def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
     time = run.signals.time
     assert run.object is not None
     box = run.object
-    found = []
+    windows = []
     if impacts:
         box = _resting(run.signals, run.object, min(impacts.values()) - WINDOW_BEFORE_IMPACT_S)
     for number, start in enumerate(free_starts(run, impacts)):
         if recorded(run, start):
-            found.append(_window(run, start, start + FREE_WINDOW_S, box, number))
+            windows.append(_window(run, start, start + FREE_WINDOW_S, box, number))
     if impacts:
         first = min(impacts.values())
         end = min(first + WINDOW_AFTER_IMPACT_S, float(time[-1]))
@@ -130,8 +130,8 @@ def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
                 "a gap lies in the window about the impact, which begins "
                 f"{WINDOW_BEFORE_IMPACT_S + START_FIT_HALF_WIDTH_S:g} s before it"
             )
-        found.append(_window(run, first - WINDOW_BEFORE_IMPACT_S, end, box, None))
-    return found
+        windows.append(_window(run, first - WINDOW_BEFORE_IMPACT_S, end, box, None))
+    return windows
 
 
 def recorded(run: Run, start: float) -> bool:
@@ -153,8 +153,8 @@ def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
     moving = np.nonzero(before & (speed > MIN_MOVING_SPEED_SHARE * speed[before].max()))[0]
     begin = max(float(time[moving[0]]), float(time[0]) + START_FIT_HALF_WIDTH_S)
     end = min(float(time[moving[-1]]), last)
-    wanted = FREE_WINDOWS_WITH_IMPACT if impacts else FREE_WINDOWS_WITHOUT_IMPACT
-    count = min(wanted, int((end - begin) / FREE_WINDOW_S + 1e-6))
+    most = FREE_WINDOWS_WITH_IMPACT if impacts else FREE_WINDOWS_WITHOUT_IMPACT
+    count = min(most, int((end - begin) / FREE_WINDOW_S + 1e-6))
     if count < 1:
         return []
     slack = (end - begin - count * FREE_WINDOW_S) / count
@@ -179,15 +179,15 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
         earlier: tuple[tuple[float, Array], ...] = ()
         if run.commanded:
             sent, values = arm.command_time, arm.command
-            torques[name], acting[name] = _held(sent, values, grid, run.period / substeps)
-            known = np.nonzero((sent < ticks[0]) & (sent > ticks[0] - COMMAND_HISTORY_S))[0]
-            earlier = tuple((float(sent[row] - ticks[0]), values[row]) for row in known)
+            torques[name], acting[name] = _held_commands(sent, values, grid, run.period / substeps)
+            delayed = np.nonzero((sent < ticks[0]) & (sent > ticks[0] - COMMAND_HISTORY_S))[0]
+            earlier = tuple((float(sent[row] - ticks[0]), values[row]) for row in delayed)
         else:
             ends = grid + run.period / substeps
             torques[name] = np.column_stack([np.interp(ends, time, column) for column in arm.torque.T])
             acting[name] = np.arange(grid.size, dtype=np.int32)
         drives[name] = DriveStart(torque, rate, earlier)
-    seen, beside = _within_ticks(run.signals.object_time, ticks, contact), {}
+    tracked, beside = _within_ticks(run.signals.object_time, ticks, contact), {}
     for name, poses in run.signals.neighbours.items():
         beside[name] = _within_ticks(poses.time, ticks, contact)
     return Window(
@@ -199,11 +199,11 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
         box,
         torques,
         acting,
-        seen,
+        tracked,
         before,
         from_velocity,
         velocity,
-        seen_beside=beside,
+        neighbour_times=beside,
     )
 
 
@@ -212,7 +212,7 @@ def _within_ticks(tracked: Array, ticks: Array, contact: bool) -> Array:
     return tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
 
 
-def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array, NDArray[np.int32]]:
+def _held_commands(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array, NDArray[np.int32]]:
     """Zero-order-hold commands by period of the torque loop.
 
     Args:
@@ -245,9 +245,9 @@ def held_means(sent: Array, values: Array, edges: Array) -> Array:
     """
     first = max(int(np.searchsorted(sent, edges[0], side="right")) - 1, 0)
     last = max(int(np.searchsorted(sent, edges[-1])), first + 1)
-    knots, own = np.append(sent[first:last], np.inf), values[first:last]
+    knots, held = np.append(sent[first:last], np.inf), values[first:last]
     knots[0], knots[-1] = edges[0], max(knots[-2], edges[-1]) + 1.0
-    sums = np.vstack((np.zeros(own.shape[1]), np.cumsum(np.diff(knots)[:, None] * own, axis=0)))
+    sums = np.vstack((np.zeros(held.shape[1]), np.cumsum(np.diff(knots)[:, None] * held, axis=0)))
     at = np.column_stack([np.interp(edges, knots, column) for column in sums.T])
     return np.asarray(np.diff(at, axis=0) / np.diff(edges)[:, None])
 
@@ -268,11 +268,11 @@ def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> 
     """
     rows = _near(time, moment)
     t = time[rows] - moment
-    one, zero = np.ones_like(t), np.zeros_like(t)
-    on_position = np.column_stack((one, t, t**2 / 2.0, t**3 / 6.0))
-    on_velocity = np.column_stack((zero, one, t, t**2 / 2.0))
+    ones, zeros = np.ones_like(t), np.zeros_like(t)
+    on_position = np.column_stack((ones, t, t**2 / 2.0, t**3 / 6.0))
+    on_velocity = np.column_stack((zeros, ones, t, t**2 / 2.0))
     q, dq, parts = np.empty(position.shape[1]), np.empty(position.shape[1]), np.empty((3, 2, position.shape[1]))
-    readings, slopes = np.linalg.lstsq(np.column_stack((one, t)), velocity[rows], rcond=None)[0]
+    readings, slopes = np.linalg.lstsq(np.column_stack((ones, t)), velocity[rows], rcond=None)[0]
     curvatures = _curvature(time, velocity, moment)
     for joint in range(q.size):
         a, b = position[rows, joint], velocity[rows, joint]
@@ -280,7 +280,7 @@ def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> 
         design = np.vstack((wa * on_position, wb * on_velocity))
         solution = np.linalg.lstsq(design, np.concatenate((wa * (a - a[0]), wb * b)), rcond=None)[0]
         q[joint], dq[joint] = solution[0] + a[0], solution[1]
-        of_velocity = wb * np.column_stack((b, slopes[joint] * one, curvatures[joint] * one))
+        of_velocity = wb * np.column_stack((b, slopes[joint] * ones, curvatures[joint] * ones))
         of_both = np.concatenate((np.zeros_like(of_velocity), of_velocity))
         parts[:, :, joint] = np.linalg.lstsq(design, of_both, rcond=None)[0][:2].T
     return q, dq, parts, np.stack((readings, slopes))
@@ -338,7 +338,7 @@ def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName
         drives = {name: _true_drive(window, name, arm.readings) for name, arm in physics.arms.items()}
         shifted = _true_torque if joint_torque else _true_command
         torque = {name: shifted(window, name, arm.readings) for name, arm in physics.arms.items()}
-        acting = {name: np.arange(len(own), dtype=np.int32) for name, own in torque.items()}
+        acting = {name: np.arange(len(torques), dtype=np.int32) for name, torques in torque.items()}
     if not physics.tracker.exact:
         position, rotation = physics.tracker.pose_of(box.position, box.rotation)
         box = replace(box, position=position, rotation=rotation)
@@ -418,14 +418,15 @@ def _signals(window: Window, physics: Physics, result: Result) -> Signals:
         arms[name] = ArmSignals(*(solved * values for values in true))
     if not window.contact:
         return Signals(window.time, arms)
-    seen = _seen(window, physics, result.poses, window.seen)
+    poses = _tracked_poses(window, physics, result.poses, window.tracked_times)
     neighbours = {
-        name: _seen(window, physics, result.neighbours[name][0], times) for name, times in window.seen_beside.items()
+        name: _tracked_poses(window, physics, result.neighbours[name][0], times)
+        for name, times in window.neighbour_times.items()
     }
-    return Signals(window.time, arms, seen.time, seen.position, seen.quaternion, neighbours)
+    return Signals(window.time, arms, poses.time, poses.position, poses.quaternion, neighbours)
 
 
-def _seen(window: Window, physics: Physics, poses: Array, times: Array) -> Poses:
+def _tracked_poses(window: Window, physics: Physics, poses: Array, times: Array) -> Poses:
     """Poses of a body, ``(k, 7)``, as the tracker reads them at its times ``(m,)`` [s]."""
     if physics.tracker.exact:
         read = np.column_stack([np.interp(times, window.time, column) for column in poses.T])
@@ -445,7 +446,7 @@ def _resting(signals: Signals, nominal: BodyState, until: float) -> BodyState:
     rows = np.nonzero(signals.object_time < until)[0][-RESTING_POSE_SAMPLES:]
     if rows.size == 0:
         return nominal
-    place = nominal.position.copy()
-    place[:2] = np.median(signals.object_position[rows, :2], axis=0)
+    position = nominal.position.copy()
+    position[:2] = np.median(signals.object_position[rows, :2], axis=0)
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, float(np.median(signals.object_yaw[rows])))
-    return BodyState(place, turn, np.zeros(6))
+    return BodyState(position, turn, np.zeros(6))

@@ -26,13 +26,13 @@ from impact_rs_trials.workers import Map, on_threads
 MIN_BATCH, MAX_BATCH = 4, 32  # replays per task, 30 to 300 ms of work: a task has an overhead of milliseconds
 MIN_BATCHES = 16  # so that workers finish at about the same time
 
-_one_at_a_time = threading.Lock()  # rigid-body models, which features share, are not thread-safe
+_models_lock = threading.Lock()  # rigid-body models, which features share, are not thread-safe
 
 Progress = Callable[[str, int, int], None]
 Key = tuple[str, str, Added]  # digests of start and model, and the effects: all that a replay depends on
 
 Item = TypeVar("Item")
-Made = TypeVar("Made")
+Output = TypeVar("Output")
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,9 @@ def with_effects(model: Model, physics: Physics, added: Added) -> Physics:
     Raises:
         NotABody: The effects leave no body.
     """
-    physics, known = model.apply(physics), model.known_effects
+    physics, effects = model.apply(physics), model.known_effects
     for name, values in added:
-        physics = known[name].apply_vector(physics, np.array(values))
+        physics = effects[name].apply_vector(physics, np.array(values))
     return physics
 
 
@@ -86,7 +86,7 @@ def run_batch(tasks: Sequence[Replay]) -> list[Array | None]:
     Raises:
         InputError: The model itself is not valid.
     """
-    found: list[Array | None] = [None] * len(tasks)
+    results: list[Array | None] = [None] * len(tasks)
     setup, physics = tasks[0].setup, {}
     for number, task in enumerate(tasks):
         try:
@@ -95,14 +95,14 @@ def run_batch(tasks: Sequence[Replay]) -> list[Array | None]:
             if not task.added:
                 raise
     if not physics:
-        return found
+        return results
     simulations = setup.replayed_all(list(physics.values()))
-    with _one_at_a_time:
+    with _models_lock:
         features = setup.features_of_all(simulations)
     for number, values in zip(physics, features, strict=True):
         blown_up = values is not None and not np.isfinite(values).all()
-        found[number] = None if blown_up and tasks[number].added else values
-    return found
+        results[number] = None if blown_up and tasks[number].added else values
+    return results
 
 
 def _batches(missing: Iterable[Replay]) -> list[tuple[Replay, ...]]:
@@ -112,17 +112,17 @@ def _batches(missing: Iterable[Replay]) -> list[tuple[Replay, ...]]:
         grouped.setdefault(task.setup.digest, []).append(task)
     total = sum(map(len, grouped.values()))
     size = min(max(math.ceil(total / MIN_BATCHES), MIN_BATCH), MAX_BATCH)
-    return [tuple(own[start : start + size]) for own in grouped.values() for start in range(0, len(own), size)]
+    return [tuple(run[start : start + size]) for run in grouped.values() for start in range(0, len(run), size)]
 
 
 def _joined(setup: Setup, parts: Sequence[Array | None]) -> Array | None:
     """Features of a replay from those of its parts; None if one of them has none."""
-    found = np.empty(len(setup.kept))
+    joined = np.empty(len(setup.used))
     for (_, rows), values in zip(setup.parts, parts, strict=True):
         if values is None:
             return None
-        found[rows] = values
-    return found
+        joined[rows] = values
+    return joined
 
 
 class ReplayCache:
@@ -136,37 +136,39 @@ class ReplayCache:
     def __init__(self, map_tasks: Map, progress: Progress | None = None) -> None:
         self._map = map_tasks
         self._progress = progress
-        self._known: dict[Key, Array | None] = {}
+        self._features: dict[Key, Array | None] = {}
         self._phases: dict[tuple[str, str], tuple[str, ...]] = {}  # by model and effect
 
     def in_one_process(self) -> ReplayCache:
         """A copy that makes replays in its own process, without progress reports; it can be pickled."""
         store = ReplayCache(map)
-        store._known = self._known
+        store._features = self._features
         return store
 
-    def spread(self, function: Callable[[Item], Made], items: Sequence[Item], what: str) -> list[Made]:
+    def distribute(self, function: Callable[[Item], Output], items: Sequence[Item], purpose: str) -> list[Output]:
         """``function`` of every item over the map, with progress reports."""
-        found = []
-        self._report_progress(what, 0, len(items))
+        results = []
+        self._report_progress(purpose, 0, len(items))
         for result in self._map(function, items):
-            found.append(result)
-            self._report_progress(what, len(found), len(items))
-        return found
+            results.append(result)
+            self._report_progress(purpose, len(results), len(items))
+        return results
 
-    def __call__(self, tasks: Sequence[Replay], what: str = "replays") -> list[Array | None]:
+    def __call__(self, tasks: Sequence[Replay], purpose: str = "replays") -> list[Array | None]:
         """Features of each replay, in order."""
         digests = {id(model): model.digest for model in {id(task.model): task.model for task in tasks}.values()}
         parts = [self._parts(task, digests[id(task.model)]) for task in tasks]
-        missing = {key: part for own in parts for key, part in own.items() if key not in self._known}
-        keys = {id(part): key for key, part in missing.items()}
+        missing = {key: part for task_parts in parts for key, part in task_parts.items() if key not in self._features}
+        key_of = {id(part): key for key, part in missing.items()}
         batches = _batches(missing.values())
         done = 0
         for batch, results in zip(batches, self._map(run_batch, batches), strict=True):
-            self._known.update(zip((keys[id(part)] for part in batch), results, strict=True))
+            self._features.update(zip((key_of[id(part)] for part in batch), results, strict=True))
             done += len(batch)
-            self._report_progress(what, done, len(missing))
-        return [_joined(task.setup, [self._known[key] for key in own]) for task, own in zip(tasks, parts, strict=True)]
+            self._report_progress(purpose, done, len(missing))
+        return [
+            _joined(task.setup, [self._features[key] for key in keys]) for task, keys in zip(tasks, parts, strict=True)
+        ]
 
     def _parts(self, task: Replay, model: str) -> dict[Key, Replay]:
         """Free motion and contact of a replay, each with the effects that act there, by all that they depend on.
@@ -175,11 +177,11 @@ class ReplayCache:
             task: The replay.
             model: Digest of its model.
         """
-        found = {}
+        parts = {}
         for setup, _ in task.setup.parts:
             added = tuple(item for item in task.added if self._acts(task.model, model, item[0], setup))
-            found[setup.digest, model, added] = Replay(setup, task.model, added)
-        return found
+            parts[setup.digest, model, added] = Replay(setup, task.model, added)
+        return parts
 
     def _acts(self, model: Model, digest: str, effect: str, part: Setup) -> bool:
         """Whether an effect acts in a part; those that only tables of impacts have act in none."""
@@ -188,6 +190,6 @@ class ReplayCache:
         phases = self._phases[digest, effect]
         return phases != SINGLE_IMPACT if part.contact else "free" in phases
 
-    def _report_progress(self, what: str, done: int, total: int) -> None:
+    def _report_progress(self, purpose: str, done: int, total: int) -> None:
         if self._progress is not None:
-            self._progress(what, done, total)
+            self._progress(purpose, done, total)

@@ -200,14 +200,14 @@ class RecordingSource(Source):
 
     Attributes:
         balance: Torque balance that predicts them.
-        rest: Recorded minus predicted torque and deflection of the model, ``(k, c)`` [N m, rad].
+        residuals: Recorded minus predicted torque and deflection of the model, ``(k, c)`` [N m, rad].
         sigma: Scale of every column, ``(c,)`` [N m, rad].
         reading: Remarks on how the recordings were read.
     """
 
     kind = "recordings"
     repeated = False
-    noise_apart = True
+    noise_by_joint = True
     size_is = "root mean square of recorded minus predicted joint torque over all joints and samples"
     not_measured = ("velocity jump", "contact and impulses", "object", "controller and its references")
 
@@ -225,20 +225,20 @@ class RecordingSource(Source):
         self.recordings, self.mapping, self.model = tuple(recordings), mapping, model
         self._minus = tuple(minus)
         self.left_out = tuple(left_out)
-        self._known = model.known_effects | {LINK_ERRORS.name: LINK_ERRORS}
+        self._effects = model.known_effects | {LINK_ERRORS.name: LINK_ERRORS}
         self.motions, self.physics = tuple(motions), physics
         at_motor = mapping.torque_measured_at == "motor"
         self.balance = TorqueBalance(list(motions), at_motor)
         self._torques, self._stretches = self.balance.joints.size, tuple(stretches)
         related = "velocity" in mapping.signals and not minus
-        self._relation = VelocityRelation(motions, [one.rows for one in stretches]) if related else None
+        self._relation = VelocityRelation(motions, [stretch.rows for stretch in stretches]) if related else None
         uncertain = mapping.servo is not None and mapping.servo.gains == "estimated"
         torque = self.balance.recorded[:, : self._torques]
         self._gains = ServoGains(torque, self.balance.noise[: self._torques], len(stretches)) if uncertain else None
-        self._of_the_model = self.balance.predict(physics)
-        predicted, self._related_of_the_model = self._with_relations(self._of_the_model, physics)
-        self.rest = self.balance.recorded - predicted
-        self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
+        self._prediction_of_model = self.balance.predict(physics)
+        predicted, self._related_of_model = self._with_relations(self._prediction_of_model, physics)
+        self.residuals = self.balance.recorded - predicted
+        self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.residuals), axis=0)), 1e-12)
         units = physics.arms[ARM].facts.units
         self._columns = [Column(TORQUE, int(joint), units[joint].effort) for joint in self.balance.joints]
         self._columns += [Column(DEFLECTION, int(joint), units[joint].position) for joint in self.balance.elastic]
@@ -250,8 +250,8 @@ class RecordingSource(Source):
         self.clusters = with_intervals(self, [self._cluster(number) for number in range(len(self._stretches))])
         remarks = merged((item.path.name, remark) for item in (*recordings, *minus) for remark in item.remarks)
         remarks += [f"{Path(path).name} is left out: {why}" for path, why in left_out]
-        remarks += _of_motor_encoders(recordings, self.balance, minus)
-        if minus and (drifts := order_warning(*([one.signals.time for one in own] for own in (recordings, minus)))):
+        remarks += _motor_encoder_remarks(recordings, self.balance, minus)
+        if minus and (drifts := order_warning(*([run.signals.time for run in runs] for runs in (recordings, minus)))):
             remarks.append(drifts)
         self.reading = (torque_in_words(mapping), *dict.fromkeys(remarks))
         self.remarks = (
@@ -321,17 +321,17 @@ class RecordingSource(Source):
     @property
     def _related(self) -> int:
         """Number of features of a stretch beyond its samples, which come last: velocities against positions, gains."""
-        return sum(one.noise.size for one in self._relations)
+        return sum(relation.noise.size for relation in self._relations)
 
     @property
     def _relations(self) -> list[VelocityRelation | ServoGains]:
         """Relations that give features beyond the samples."""
-        return [one for one in (self._relation, self._gains) if one is not None]
+        return [relation for relation in (self._relation, self._gains) if relation is not None]
 
     @property
     def _weighted_residuals(self) -> Array:
         """Weighted residuals of the model, ``(k, c)`` [N m]."""
-        return np.asarray(self.rest / self.sigma * self._weights)
+        return np.asarray(self.residuals / self.sigma * self._weights)
 
     @cached_property
     def proportion(self) -> Proportion:
@@ -361,27 +361,27 @@ class RecordingSource(Source):
     @property
     def _signals(self) -> tuple[str, ...]:
         """Names of the recorded signals; the torque of a servo was not."""
-        found = set(self.recordings[0].signals.arms[ARM].measured)
+        names = set(self.recordings[0].signals.arms[ARM].measured)
         if self.mapping.servo is not None:
-            found -= {"torque"} | {name for name in ("dq_desired",) if name not in self.mapping.signals}
-        return tuple(sorted(found))
+            names -= {"torque"} | {name for name in ("dq_desired",) if name not in self.mapping.signals}
+        return tuple(sorted(names))
 
     @property
     def stretch_seconds(self) -> float:
         """Mean length of a stretch [s]."""
         return self.recording.used_s / len(self._stretches)
 
-    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+    def predict(self, requests: Sequence[tuple[int, Added]], purpose: str) -> list[Array | None]:
         """See :meth:`Source.predict`."""
-        del what
-        found: list[Array | None] = []
+        del purpose
+        features: list[Array | None] = []
         last: Added | None = None
         predicted: tuple[Array, Array] | None = None
-        for number, added in wanted:
+        for number, added in requests:
             if added is not last:  # equal effects follow each other, and hashing many numbers is expensive
                 last, predicted = added, self._prediction(added)
-            found.append(None if predicted is None else self._features_of(number, *predicted))
-        return found
+            features.append(None if predicted is None else self._features_of(number, *predicted))
+        return features
 
     def _features_of(self, number: int, torque: Array, related: Array) -> Array:
         """Features of a stretch: torques and deflections by sample, then those of :attr:`_related`, ``(F,)``."""
@@ -398,16 +398,17 @@ class RecordingSource(Source):
             without += VELOCITY_SENSOR_FAULTS
         shown = effect.may_change or effect.shown_by_load or not self._minus
         acts = bool(effect.scalars(self.joints))  # one joint has no neighbour
-        return acts and shown and effect.acts_on != "neighbour" and effect.name not in {one.name for one in without}
+        unidentifiable = {item.name for item in without}
+        return acts and shown and effect.acts_on != "neighbour" and effect.name not in unidentifiable
 
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.residuals_with`."""
         numbers = {item.name: number for number, item in enumerate(self.clusters)}
-        own = [numbers[item.name] for item in like]
-        predicted = self.predict([(number, added) for number in own], "residuals")
+        indices = [numbers[item.name] for item in like]
+        predicted = self.predict([(number, added) for number in indices], "residuals")
         return [
             replace(item, residuals=((self._recorded(number) - features) / item.sigma)[None, :])
-            for item, number, features in zip(like, own, predicted, strict=True)
+            for item, number, features in zip(like, indices, predicted, strict=True)
             if features is not None
         ] or None
 
@@ -428,28 +429,28 @@ class RecordingSource(Source):
         noise = np.maximum(self.balance.noise, 1e-12)
         phases = [[feature.phase for feature in item.features] for item in self.clusters]
         torques = [row[: len(row) - self._related] for row in phases]
-        phase = np.concatenate([np.array(row, dtype=object).reshape(-1, self.rest.shape[1]) for row in torques])
+        phase = np.concatenate([np.array(row, dtype=object).reshape(-1, self.residuals.shape[1]) for row in torques])
         signals, cells = [], []
         for number, column in enumerate(self._columns):
-            own = self.rest[:, number]
+            residuals = self.residuals[:, number]
             signals.append(
                 SignalLevel(
                     phase="free",
                     signal=column.signal,
                     index=column.index,
-                    error=rounded(root_mean_square(own)),
-                    mean=rounded(float(own.mean())),
+                    error=rounded(root_mean_square(residuals)),
+                    mean=rounded(float(residuals.mean())),
                     noise_floor=rounded(float(noise[number])),
                     unit=column.unit,
-                    times_noise=rounded(root_mean_square(own) / float(noise[number])),
+                    times_noise=rounded(root_mean_square(residuals) / float(noise[number])),
                 )
             )
             for name in dict.fromkeys(phase[:, number]):
                 rows = phase[:, number] == name
                 if np.count_nonzero(rows) >= MIN_SAMPLES_OF_PHASE:
                     cells.append(self._cell(name, number, rows, float(noise[number])))
-        every = root_mean_square(np.sqrt(np.mean(np.square(self.rest), axis=0)) / noise)
-        level = Level(what=LEVEL_TEXT, times_noise=rounded(every), signals=tuple(signals))
+        times_noise = root_mean_square(np.sqrt(np.mean(np.square(self.residuals), axis=0)) / noise)
+        level = Level(what=LEVEL_TEXT, times_noise=rounded(times_noise), signals=tuple(signals))
         files: dict[str, list[Array]] = {}
         for item in self.clusters:
             files.setdefault(item.unit, []).append(item.mean * self.residual_weight(item))
@@ -464,7 +465,7 @@ class RecordingSource(Source):
 
     def _cell(self, phase: str, number: int, rows: NDArray[np.bool_], noise: float) -> Cell:
         """Residual of one column in one phase, which has some rows."""
-        rest, counted, column = self.rest[rows, number], self._weighted_residuals, self._columns[number]
+        residuals, weighted, column = self.residuals[rows, number], self._weighted_residuals, self._columns[number]
         return Cell(
             scenario=", ".join(run.path.name for run in self.recordings),
             object="",
@@ -472,16 +473,16 @@ class RecordingSource(Source):
             phase=phase,
             signal=column.signal,
             index=column.index,
-            error=rounded(float(rest.mean())),
+            error=rounded(float(residuals.mean())),
             unit=column.unit,
             floor=0.0,
-            share=rounded(float(np.sum(np.square(counted[rows, number]))) / max(float(np.sum(counted**2)), 1e-300)),
-            times_noise=rounded(root_mean_square(rest) / noise),
+            share=rounded(float(np.sum(np.square(weighted[rows, number]))) / max(float(np.sum(weighted**2)), 1e-300)),
+            times_noise=rounded(root_mean_square(residuals) / noise),
         )
 
-    def joint_sizes(self, rest: Sequence[Array]) -> list[tuple[str, float, float, str]]:
+    def joint_sizes(self, residuals: Sequence[Array]) -> list[tuple[str, float, float, str]]:
         """See :meth:`Source.joint_sizes`."""
-        torques = np.concatenate([own[: own.size - self._related] for own in rest])
+        torques = np.concatenate([stretch[: stretch.size - self._related] for stretch in residuals])
         sizes = np.sqrt(np.mean(np.square(torques.reshape(-1, self.sigma.size)), axis=0)) * self.sigma
         return [
             (column.index, float(size), float(noise), column.unit)
@@ -491,33 +492,36 @@ class RecordingSource(Source):
     def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
         """See :meth:`Source.tracks`: torque of every joint of every recording, recorded and predicted."""
         del map_tasks
-        rests = {"the model": self.rest}
+        residuals_of_model = {"the model": self.residuals}
         if added:
-            rests = {"the model with what was found": self.rest_with(added), "the model as it is": self.rest}
-        found = []
-        for label, rest in rests.items():
+            residuals_of_model = {
+                "the model with what was found": self.residuals_by(added),
+                "the model as it is": self.residuals,
+            }
+        tracks = []
+        for label, residuals in residuals_of_model.items():
             start = 0
             for run, motion in zip(self.recordings, self.motions, strict=True):
                 rows = slice(start, start := start + motion.time[motion.kept].size)
-                measured, predicted = self.balance.recorded[rows], (self.balance.recorded - rest)[rows]
+                measured, predicted = self.balance.recorded[rows], (self.balance.recorded - residuals)[rows]
                 curves = [
-                    ComparedSignal(f"{column.signal} of joint {column.joint + 1}", column.unit, one, other)
-                    for column, one, other in zip(self._columns, measured.T, predicted.T, strict=True)
+                    ComparedSignal(f"{column.signal} of joint {column.joint + 1}", column.unit, *values)
+                    for column, *values in zip(self._columns, measured.T, predicted.T, strict=True)
                 ]
                 name = label if len(self.motions) == 1 else f"{run.path.name}, {label}"
-                found.append(track_of_motion(name, self.physics, motion, curves))
-        return tuple(found)
+                tracks.append(track_of_motion(name, self.physics, motion, curves))
+        return tuple(tracks)
 
     def free_motions(self, numbers: Sequence[int] | None = None) -> tuple[FreeMotion, ...]:
         """See :meth:`Source.free_motions`; empty for differences, and where a joint's torque was not measured."""
         if self._minus or not all(motion.measured.all() for motion in self.motions):
             return ()
-        found, first = [], 0
+        motions, first = [], 0
         for run, motion in zip(self.recordings, self.motions, strict=True):
-            own = motion.time[motion.kept]
-            last = first + own.size
+            time = motion.time[motion.kept]
+            last = first + time.size
             for low, high in self._parts(numbers, first, last):
-                found.append(
+                motions.append(
                     FreeMotion(
                         arm=ARM,
                         physics=self.physics,
@@ -527,8 +531,8 @@ class RecordingSource(Source):
                         acceleration=motion.acceleration,
                         torque_time=run.signals.time - run.signals.time[0],
                         torque=run.signals.arms[ARM].torque,  # unfiltered: a reversal of dry friction is sudden
-                        begin=float(own[low]),
-                        end=float(own[high - 1]),
+                        begin=float(time[low]),
+                        end=float(time[high - 1]),
                         with_motor=self.mapping.torque_measured_at == "motor",
                         servo=self.mapping.servo_law,
                         q_desired=run.signals.arms[ARM].q_desired,
@@ -536,7 +540,7 @@ class RecordingSource(Source):
                     )
                 )
             first = last
-        return tuple(found)
+        return tuple(motions)
 
     def _rolled(self, motion: FreeMotion, added: Added) -> Physics:
         """Physics of a motion with effects; drives give the torque of servos with the gains that fit these."""
@@ -544,25 +548,25 @@ class RecordingSource(Source):
         if self._gains is None:
             return physics
         arm, torque = physics.arms[ARM], self.balance.predict(physics)[:, : self._torques]
-        share = self._gains.fitted(torque, self.balance.lost(physics))
+        share = self._gains.fitted(torque, self.balance.delay_loss(physics))
         return replace(physics, arms={ARM: replace(arm, torque_gain=arm.torque_gain / (1.0 + share))})
 
     def _parts(self, numbers: Sequence[int] | None, first: int, last: int) -> list[tuple[int, int]]:
         """Rows of a motion that stretches cover, neighbours together; its samples are ``first`` to ``last`` of all."""
         if numbers is None:
             return [(0, last - first)]
-        found: list[tuple[int, int]] = []
+        parts: list[tuple[int, int]] = []
         for number in sorted(numbers):
             rows = self._stretches[number].rows
             if not first <= rows.start < last:
                 continue
             low, high = rows.start - first, rows.stop - first
-            if found and found[-1][1] == low:
-                low = found.pop()[0]
-            found.append((low, high))
-        return found
+            if parts and parts[-1][1] == low:
+                low = parts.pop()[0]
+            parts.append((low, high))
+        return parts
 
-    def rest_with(self, added: Added) -> Array:
+    def residuals_by(self, added: Added) -> Array:
         """Recorded minus predicted torque of the model with effects, ``(k, n)`` [N m].
 
         Raises:
@@ -575,20 +579,20 @@ class RecordingSource(Source):
 
     def _torque(self, added: Added) -> Array | None:
         """Predicted torque of all recordings, ``(k, n)`` [N m]; None without positive inertia."""
-        found = self._prediction(added)
-        return None if found is None else found[0]
+        prediction = self._prediction(added)
+        return None if prediction is None else prediction[0]
 
     def _prediction(self, added: Added) -> tuple[Array, Array] | None:
         """Torque of all recordings [N m], and what is :attr:`_related` ``(K, E)``; None without positive inertia."""
-        return self._predicted.of(added, lambda: self._predict_anew(added))
+        return self._predicted.of(added, lambda: self._predict_uncached(added))
 
-    def _predict_anew(self, added: Added) -> tuple[Array, Array] | None:
+    def _predict_uncached(self, added: Added) -> tuple[Array, Array] | None:
         try:
-            physics = self._with(added)
+            physics = self._physics_with(added)
             torque = self.balance.predict(physics)
-            shared = tuple(one for one in added if self._shared(one[0])) if self._minus else ()
+            shared = tuple(effect for effect in added if self._shared(effect[0])) if self._minus else ()
             if shared:
-                torque = torque - self.balance.predict(self._with(shared)) + self._of_the_model
+                torque = torque - self.balance.predict(self._physics_with(shared)) + self._prediction_of_model
         except NotABody:
             return None
         return self._with_relations(torque, physics)
@@ -599,10 +603,10 @@ class RecordingSource(Source):
         if self._relation is not None:
             related.append(self._relation.predicted(physics.arms[ARM].readings))
         if self._gains is not None:
-            own, late = slice(self._torques), self.balance.lost(physics)
-            share = self._gains.fitted(torque[:, own], late)
+            torque_columns, late = slice(self._torques), self.balance.delay_loss(physics)
+            share = self._gains.fitted(torque[:, torque_columns], late)
             torque = torque.copy()
-            torque[:, own] += share * (torque[:, own] - late)
+            torque[:, torque_columns] += share * (torque[:, torque_columns] - late)
             related.append(self._gains.predicted(share))
         return torque, np.hstack(related)
 
@@ -610,34 +614,34 @@ class RecordingSource(Source):
     def _related_recorded(self) -> Array:
         """Recorded values of :attr:`_related`, ``(K, E)``."""
         nothing = np.empty((len(self._stretches), 0))
-        return np.hstack([nothing, *(one.recorded for one in self._relations)])
+        return np.hstack([nothing, *(relation.recorded for relation in self._relations)])
 
-    def _with(self, added: Added) -> Physics:
+    def _physics_with(self, added: Added) -> Physics:
         """The physics of the model with effects."""
         physics = self.physics
         for name, values in added:
-            physics = self._known[name].apply_vector(physics, np.array(values))
+            physics = self._effects[name].apply_vector(physics, np.array(values))
         return physics
 
     def _shared(self, name: str) -> bool:
         """Whether an effect is common to two recordings of one motion, as a property of arm or sensors."""
-        return not self._known[name].may_change
+        return not self._effects[name].may_change
 
     def _cluster(self, number: int) -> Cluster:
         stretch = self._stretches[number]
-        rest, velocity = self.rest[stretch.rows], self.balance.velocity[stretch.rows]
+        residuals, velocity = self.residuals[stretch.rows], self.balance.velocity[stretch.rows]
         phase = np.where(velocity > MIN_MOVING_SPEED, 0, np.where(velocity < -MIN_MOVING_SPEED, 1, 2))
         labels = [[_feature(name, column) for name in PHASES] for column in self._columns]
-        sigma = np.broadcast_to(self.sigma, rest.shape).ravel()
-        noise = np.broadcast_to(self.balance.noise, rest.shape).ravel()
-        features = [labels[place][phase[k, place]] for k in range(len(rest)) for place in range(rest.shape[1])]
-        rows = rest.ravel()
+        sigma = np.broadcast_to(self.sigma, residuals.shape).ravel()
+        noise = np.broadcast_to(self.balance.noise, residuals.shape).ravel()
+        features = [of_phase[number] for row in phase for of_phase, number in zip(labels, row, strict=True)]
+        rows = residuals.ravel()
         if self._related:
             share = max(root_mean_square(self.balance.noise / self.sigma), MIN_NOISE_SHARE)
-            own = np.concatenate([one.noise for one in self._relations])
-            noise = np.append(noise, own)
-            sigma = np.append(sigma, own / share)  # equal noise has equal weight
-            rows = np.append(rows, (self._related_recorded - self._related_of_the_model)[number])
+            related_noise = np.concatenate([relation.noise for relation in self._relations])
+            noise = np.append(noise, related_noise)
+            sigma = np.append(sigma, related_noise / share)  # equal noise has equal weight
+            rows = np.append(rows, (self._related_recorded - self._related_of_model)[number])
             features += self._related_features()
         return Cluster(
             name=stretch.name,
@@ -650,7 +654,7 @@ class RecordingSource(Source):
             sigma=sigma,
             pure_error=noise / sigma,
             discrepancy=np.zeros(rows.size),
-            calibrations=np.pad(self._of_scales(stretch.rows), ((0, 0), (0, self._related))),
+            calibrations=np.pad(self._scale_errors(stretch.rows), ((0, 0), (0, self._related))),
         )
 
     def _related_features(self) -> list[Feature]:
@@ -667,25 +671,25 @@ class RecordingSource(Source):
     @cached_property
     def _scale_deviations(self) -> Array:
         """Standard deviations of the scale of each joint's torque, with that of a gain in the model, ``(n,)`` [-]."""
-        own = 0.0 if self._gains else TORQUE_SCALE_DEVIATION[self.mapping.torque_measured_at]
-        found = np.full(self.physics.arms[ARM].facts.joint_count, own)
+        deviation = 0.0 if self._gains else TORQUE_SCALE_DEVIATION[self.mapping.torque_measured_at]
+        deviations = np.full(self.physics.arms[ARM].facts.joint_count, deviation)
         for effect in self.model.effects:
             if effect.name == TORQUE_GAIN.name:
                 for joint, scalar in enumerate(TORQUE_GAIN.scalars(self.joints)):
-                    known = effect.parameters[scalar.name]
-                    low, high = known.ci95 or (known.estimate, known.estimate)
-                    found[joint] = np.hypot(found[joint], (high - low) / (2.0 * NORMAL_95 * known.estimate))
-        return found[self.balance.joints]
+                    gain = effect.parameters[scalar.name]
+                    low, high = gain.ci95 or (gain.estimate, gain.estimate)
+                    deviations[joint] = np.hypot(deviations[joint], (high - low) / (2.0 * NORMAL_95 * gain.estimate))
+        return deviations[self.balance.joints]
 
-    def _of_scales(self, rows: slice) -> Array:
+    def _scale_errors(self, rows: slice) -> Array:
         """Change of the residuals by one standard deviation of the scale of each joint's torque, ``(n, k n)`` [-].
 
         In a difference of recordings the error of the common torque cancels.
         """
-        torque = (self.rest if self._minus else self.balance.recorded)[rows] / self.sigma
-        own = np.eye(self._torques, self.sigma.size)[:, None, :]
-        each = self._scale_deviations[:, None, None] * torque[None, :, :] * own
-        return np.asarray(each.reshape(self._torques, -1))
+        torque = (self.residuals if self._minus else self.balance.recorded)[rows] / self.sigma
+        joint_column = np.eye(self._torques, self.sigma.size)[:, None, :]
+        change = self._scale_deviations[:, None, None] * torque[None, :, :] * joint_column
+        return np.asarray(change.reshape(self._torques, -1))
 
 
 def torque_in_words(mapping: Mapping) -> str:
@@ -707,7 +711,7 @@ def _feature(phase: str, column: Column) -> Feature:
     return Feature(phase, column.signal, column.index, 0, column.unit, 0.0)
 
 
-def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus: Sequence[Run]) -> list[str]:
+def _motor_encoder_remarks(recordings: Sequence[Run], balance: TorqueBalance, minus: Sequence[Run]) -> list[str]:
     """Remarks on the use of recorded motor positions; empty: there are none."""
     arms = [run.signals.arms[ARM] for run in recordings if run.signals.arms[ARM].motor_position.size]
     if not arms:
@@ -715,11 +719,11 @@ def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus:
     if minus:
         return [MOTORS_UNUSED_REMARK]
     used = [f"{joint + 1}" for joint in balance.elastic]
-    left = [joint for joint in range(arms[0].position.shape[1]) if joint not in balance.elastic]
+    unused = [joint for joint in range(arms[0].position.shape[1]) if joint not in balance.elastic]
     ratios = motor_ratios(arms[0])
     text = [MOTOR_ENCODERS_REMARK.format(joints=", ".join(used))] if used else []
-    if left:
-        moved = ", ".join(f"joint {joint + 1} {ratios[joint]:.3g} times" for joint in left)
+    if unused:
+        moved = ", ".join(f"joint {joint + 1} {ratios[joint]:.3g} times" for joint in unused)
         text.append(
             f"motor_position is not used where it shows no deflection of its own (motion over that of the link: {moved}"
             "): expected the position of the motor, divided by the gear ratio (signals.motor_position.factor)"
@@ -730,8 +734,8 @@ def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus:
 def _physics_of(runs: Sequence[Run]) -> Physics:
     """Nominal physics of the arm, with the mean end-effector position of all recordings."""
     physics = runs[0].physics
-    places = [run.physics.arms[ARM].impact_position for run in runs]
-    return replace(physics, arms={ARM: replace(physics.arms[ARM], impact_position=np.mean(places, axis=0))})
+    positions = [run.physics.arms[ARM].impact_position for run in runs]
+    return replace(physics, arms={ARM: replace(physics.arms[ARM], impact_position=np.mean(positions, axis=0))})
 
 
 def _prepared(
@@ -742,18 +746,18 @@ def _prepared(
     Raises:
         InputError: Sampled too slowly, or none is long enough.
     """
-    kept: list[Run] = []
+    long_enough: list[Run] = []
     motions: list[Motion] = []
     for recording in recordings:
         try:
             motions.append(prepare(recording, cut_off, law))
-            kept.append(recording)
+            long_enough.append(recording)
         except TooShort as error:
             where = f"from {recording.begin:.3g} s on: " if recording.begin else ""
             short.append((str(recording.path), f"{where}{error.message}"))
-    if not kept:
+    if not long_enough:
         raise TooShort(short[-1][1], file=recordings[-1].path)
-    return kept, motions
+    return long_enough, motions
 
 
 def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
@@ -768,11 +772,11 @@ def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
     """
     signals = [np.stack((motion.velocity, motion.acceleration))[:, motion.kept] for motion in motions]
     squares = np.mean(np.square(np.concatenate(signals, axis=1)), axis=1, keepdims=True)
-    densities = [(1.0 + 2.0 * np.mean(own**2 / np.maximum(squares, 1e-300), axis=(0, 2))) / 3.0 for own in signals]
+    densities = [(1.0 + 2.0 * np.mean(part**2 / np.maximum(squares, 1e-300), axis=(0, 2))) / 3.0 for part in signals]
     for _ in range(CLIPPING_ITERATIONS):  # the mean is that of all motions
         mean = float(np.mean(np.concatenate(densities)))
-        densities = [np.minimum(own / mean, 1.0 / shortest) for own in densities]
-    return [np.cumsum(own) for own in densities]
+        densities = [np.minimum(part / mean, 1.0 / shortest) for part in densities]
+    return [np.cumsum(part) for part in densities]
 
 
 def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
@@ -788,20 +792,20 @@ def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
     total = sum(size / rate for size, rate in lengths)
     seconds = float(np.clip(total / TARGET_STRETCHES, MIN_STRETCH_S, MAX_STRETCH_S))
     shares = _information(motions, MIN_STRETCH_S / seconds)
-    found, first = [], 0
+    stretches, first = [], 0
     files = [recording.path for recording in recordings]
     names = unique_names([file.name for file in files], files)
-    for file, recording, motion, (size, rate), own in zip(names, recordings, motions, lengths, shares, strict=True):
+    for name, recording, motion, (size, rate), share in zip(names, recordings, motions, lengths, shares, strict=True):
         parts = max(1, round(size / rate / seconds))
-        edges = np.searchsorted(own, np.arange(parts) / parts * own[-1]).tolist() + [size]
+        edges = np.searchsorted(share, np.arange(parts) / parts * share[-1]).tolist() + [size]
         start = recording.begin + float(motion.time[motion.kept][0])
         for low, high in zip(edges[:-1], edges[1:], strict=True):
-            name = f"{file}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
-            found.append(Stretch(name, str(recording.path), slice(first + int(low), first + int(high))))
+            label = f"{name}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
+            stretches.append(Stretch(label, str(recording.path), slice(first + int(low), first + int(high))))
         first += size
-    if len(found) < MIN_BLOCKS:
+    if len(stretches) < MIN_BLOCKS:
         raise InputError(
             f"{total:.3g} s of usable motion, at least {MIN_BLOCKS * MIN_STRETCH_S:g} s are needed for a hold-out",
             file=recordings[0].path,
         )
-    return found
+    return stretches

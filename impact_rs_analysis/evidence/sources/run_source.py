@@ -20,7 +20,7 @@ from impact_rs_analysis.evidence.replays.contact_estimate import contact_estimat
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replays.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.rollouts import MAX_ROLLOUT_STARTS, FreeMotion, free_of_contact, without
-from impact_rs_analysis.evidence.source import Identity, Item, Made, RequiredEffect, Source, with_per_arm_parameters
+from impact_rs_analysis.evidence.source import Identity, Item, Output, RequiredEffect, Source, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
 from impact_rs_sim.effects import PAD_POSITION, Effect
 from impact_rs_sim.effects.sensing import COMMAND_CLOCK_OFFSET, TRACKED_POINT, TRACKER_FRAME
@@ -81,8 +81,8 @@ def clusters_of(
         larger = np.array([size.factor(feature.unit) for feature in first.features])  # than where it was measured
         systematic, patterns = discrepancy.of(first.features, kind), discrepancy.patterns_of(first.features, kind)
         systematic, patterns = larger * systematic, None if patterns is None else larger * patterns
-        known = np.zeros_like(limit) if spread is None else spread
-        sigma = np.sqrt(known**2 + limit**2 + systematic**2)
+        pure_error = np.zeros_like(limit) if spread is None else spread
+        sigma = np.sqrt(pure_error**2 + limit**2 + systematic**2)
         clusters.append(
             Cluster(
                 name=condition,
@@ -93,7 +93,7 @@ def clusters_of(
                 features=first.features,
                 residuals=values / sigma,
                 sigma=sigma,
-                pure_error=known / sigma,
+                pure_error=pure_error / sigma,
                 discrepancy=systematic / sigma,
                 patterns=None if patterns is None else patterns / sigma,
                 # On oblique hits the difference between simulators depends on the condition.
@@ -123,21 +123,21 @@ def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[
     families: dict[tuple[object, ...], list[str]] = {}
     for condition, run in firsts.items():
         families.setdefault(run.family, []).append(condition)
-    found: dict[str, Array | None] = {}
+    errors: dict[str, Array | None] = {}
     for members in families.values():
         whole = pooled_error([rows[condition] for condition in members if not firsts[condition].lost])
-        places = {c: {feature: column for column, feature in enumerate(firsts[c].features)} for c in members}
+        columns_of = {c: {feature: column for column, feature in enumerate(firsts[c].features)} for c in members}
         for condition in members:
-            if not any(firsts[other].lost for other in members):
-                found[condition] = whole
+            if not any(firsts[member].lost for member in members):
+                errors[condition] = whole
                 continue
             columns = [
-                pooled_error([rows[other][:, [own[feature]]] for other, own in places.items() if feature in own])
+                pooled_error([rows[c][:, [column[feature]]] for c, column in columns_of.items() if feature in column])
                 for feature in firsts[condition].features
             ]
-            known = [column for column in columns if column is not None]
-            found[condition] = np.concatenate(known) if len(known) == len(columns) else None
-    return found
+            pooled = [column for column in columns if column is not None]
+            errors[condition] = np.concatenate(pooled) if len(pooled) == len(columns) else None
+    return errors
 
 
 def kind_of(run: MeasuredRun) -> Kind:
@@ -169,12 +169,12 @@ def _replays_of(runs: Runs, model: Model, store: ReplayCache, added: Added = ())
 
 def _residuals_if_all_hit(runs: Runs, predicted: Sequence[Array | None]) -> list[Array] | None:
     """Residuals of every run; None if a replay hits nothing or is not finite."""
-    found = [
+    residuals = [
         run.measured - values
         for run, values in zip(runs.runs, predicted, strict=True)
         if values is not None and np.isfinite(values).all()
     ]
-    return found if len(found) == len(predicted) else None
+    return residuals if len(residuals) == len(predicted) else None
 
 
 def _with_late(
@@ -225,14 +225,14 @@ class ReplaySource(Source):
         self.runs, self.model, self.store, self.clusters = runs, model, store, clusters
         self.discrepancy, self.remarks, self.clock = discrepancy, tuple(remarks), runs.clock
         self.conditions = list(runs.conditions.values())
-        self._known = model.known_effects
+        self._effects = model.known_effects
         self.physics = model.apply(self.conditions[0][0].setup.physics)
         self._numbers = {item.name: number for number, item in enumerate(clusters)}
-        known = self.noise_size() is not None
-        self.size_unit = TIMES if known else "-"
+        repeated = self.noise_size() is not None
+        self.size_unit = TIMES if repeated else "-"
         self.size_is = (
             "size of the difference between measurement and replay over all features and conditions, in multiples of "
-            f"{'repeatability' if known else SCALE}"
+            f"{'repeatability' if repeated else SCALE}"
         )
 
     @cached_property
@@ -273,9 +273,9 @@ class ReplaySource(Source):
         model = with_per_arm_parameters(model, [run.setup.physics for run in runs.runs], each_arm)
         predicted = _replays_of(runs, model, store)
         missed = [run for run, values in zip(runs.runs, predicted, strict=True) if values is None]
-        found = cls._with_contact_effect(runs, model, store, discrepancy, len(missed)) if missed else None
+        with_contact_effect = cls._with_contact_effect(runs, model, store, discrepancy, len(missed)) if missed else None
         most = len(missed) > MAX_MISSED_SHARE * sum(run.hit for run in runs.runs)
-        if found is None and most:
+        if with_contact_effect is None and most:
             raise InputError(
                 f"with model {model.name!r} the replay hits nothing; are the poses of the object in the frame of the "
                 "robot, and is it the object of the scenario? motion_capture in the experiment file says where they "
@@ -283,18 +283,18 @@ class ReplaySource(Source):
                 file=missed[0].path,
             )
         alone = None if most else cls._of_hits(runs, predicted, model, store, discrepancy)._with_calibration_errors()
-        if found is None:
+        if with_contact_effect is None:
             assert alone is not None
             return alone
-        found.without_required = alone
-        return found._with_calibration_errors()
+        with_contact_effect.without_required = alone
+        return with_contact_effect._with_calibration_errors()
 
     @classmethod
     def _of_hits(
         cls, runs: Runs, predicted: Sequence[Array | None], model: Model, store: ReplayCache, discrepancy: Discrepancy
     ) -> ReplaySource:
         """The source of the runs whose replay has its impact, without systematic errors of a calibration."""
-        residuals, kept, missed = [], [], []
+        residuals, hits, missed = [], [], []
         for run, values in zip(runs.runs, predicted, strict=True):
             if values is None:
                 missed.append(Path(run.path).name)
@@ -302,10 +302,10 @@ class ReplaySource(Source):
             if not np.isfinite(values).all():
                 raise InputError(f"with model {model.name!r} the replay is not finite or not solved", file=run.path)
             residuals.append(run.measured - values)
-            kept.append(run)
+            hits.append(run)
         if missed:
             remark = f"left out, because with model {model.name!r} the replay hits nothing: {', '.join(missed)}"
-            runs = runs.only(kept, remark)
+            runs = runs.only(hits, remark)
         return cls._of_residuals(runs, residuals, model, store, discrepancy)
 
     @classmethod
@@ -314,8 +314,9 @@ class ReplaySource(Source):
     ) -> ReplaySource | None:
         """The source with the effect that makes every replay hit and leaves the least residuals; None: no effect."""
         impacts, present = sum(run.hit for run in runs.runs), {item.name for item in model.effects}
-        found: list[tuple[RequiredEffect, list[Array], Model]] = []
-        for effect in (model.known_effects[one.name] for one in CONTACT_EFFECTS if one.name not in present):
+        candidates: list[tuple[RequiredEffect, list[Array], Model]] = []
+        for name in (effect.name for effect in CONTACT_EFFECTS if effect.name not in present):
+            effect = model.known_effects[name]
             estimate = contact_estimate(effect, runs.runs)
             if estimate is None or (item := estimate.item) is None:
                 continue
@@ -324,11 +325,11 @@ class ReplaySource(Source):
             if residuals is None:
                 continue
             clusters, _ = clusters_of(runs, residuals, discrepancy)
-            found.append((RequiredEffect(item, score_of(clusters), missed, impacts), residuals, extended))
-        if not found:
+            candidates.append((RequiredEffect(item, score_of(clusters), missed, impacts), residuals, extended))
+        if not candidates:
             return None
-        found.sort(key=lambda one: one[0].size)
-        (best, residuals, extended), required = found[0], tuple(one for one, *_ in found)
+        candidates.sort(key=lambda candidate: candidate[0].size)
+        (best, residuals, extended), required = candidates[0], tuple(candidate for candidate, *_ in candidates)
         remark = (
             f"with model {model.name!r} the replays of {missed} of {impacts} impacts hit nothing, and with "
             f"{best.item.name} as the impacts determine it all of them hit; all errors are with it"
@@ -365,7 +366,7 @@ class ReplaySource(Source):
         """See :meth:`Source.compare_levels`: free motion, and the replay through the impact."""
         limited = self.noise_size() is None
         return Comparison(
-            levels={name: level_of(what, self.clusters, phases, limited) for name, (what, phases) in LEVELS.items()},
+            levels={name: level_of(text, self.clusters, phases, limited) for name, (text, phases) in LEVELS.items()},
             where=tuple(where_of(self.clusters, limited)),
             conditions=condition_scores(self.clusters),
             joints=tuple(signal_levels(self.clusters, by_joint=True, by_limit=limited)[0]),
@@ -381,17 +382,17 @@ class ReplaySource(Source):
         turns = zip_longest(*(self.conditions[number] for number in chosen))
         runs = [run for turn in turns for run in turn if run is not None and run.signals.time.size]
         worlds: dict[int, Physics] = {}
-        found = []
+        parts = []
         for run in runs[:MAX_ROLLOUT_STARTS]:
             if id(run.setup.physics) not in worlds:
                 worlds[id(run.setup.physics)] = self.model.apply(run.setup.physics)
             motions = free_of_contact(run, run.impacts, worlds[id(run.setup.physics)], run.setup.windows[0].age)
-            found += [part for motion in motions for part in without(motion, run.gaps)]
-        return tuple(found)
+            parts += [part for motion in motions for part in without(motion, run.gaps)]
+        return tuple(parts)
 
-    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+    def predict(self, requests: Sequence[tuple[int, Added]], purpose: str) -> list[Array | None]:
         """See :meth:`Source.predict`; the first run of every condition is replayed."""
-        return self.store([self._replay(self.conditions[number][0], added) for number, added in wanted], what)
+        return self.store([self._replay(self.conditions[number][0], added) for number, added in requests], purpose)
 
     def _replay(self, run: MeasuredRun, added: Added) -> Replay:
         """A replay of a run with effects; its model has the formulas of these effects alone, for the cache key."""
@@ -422,22 +423,24 @@ class ReplaySource(Source):
         """Estimates from the impacts by effect."""
         return {effect.name: contact_starts(effect, self.runs.runs) for effect in TRACKER_EFFECTS}
 
-    def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
-        """See :meth:`Source.spread`; every process gets a copy of the cache."""
+    def distribute(
+        self, function: Callable[[Source, Item], Output], items: Sequence[Item], purpose: str
+    ) -> list[Output]:
+        """See :meth:`Source.distribute`; every process gets a copy of the cache."""
         bare = tuple(replace(run, signals=Signals(NONE, {})) for run in self.runs.runs)  # for figures and clusters only
         runs, store = replace(self.runs, runs=bare, late={}), self.store.in_one_process()
         alone = ReplaySource(runs, self.model, store, self.clusters, self.discrepancy, self.remarks)
         alone._tracker_starts = self._tracker_starts  # the copy has no signals
-        return self.store.spread(partial(function, alone), items, what)
+        return self.store.distribute(partial(function, alone), items, purpose)
 
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.residuals_with`; every run is replayed from its own start."""
         groups = [self.conditions[self._numbers[item.name]] for item in like]
         tasks = [self._replay(run, added) for group in groups for run in group]
-        found = self.store(tasks, "every run again")
-        if any(values is None for values in found):
+        features = self.store(tasks, "every run again")
+        if any(values is None for values in features):
             return None
-        predicted = iter(found)
+        predicted = iter(features)
         return [
             replace(
                 item, residuals=np.array([run.measured - np.asarray(next(predicted)) for run in group]) / item.sigma

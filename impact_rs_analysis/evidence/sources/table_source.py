@@ -62,7 +62,7 @@ from impact_rs_analysis.evidence.source import (
     Covariate,
     Identity,
     Item,
-    Made,
+    Output,
     Source,
     View,
     with_per_arm_parameters,
@@ -80,7 +80,7 @@ from impact_rs_analysis.evidence.tables.row_groups import (
     conditions,
     evenly,
 )
-from impact_rs_analysis.evidence.tables.row_predictions import MAX_ALTERED, RowPredictions, most_kept
+from impact_rs_analysis.evidence.tables.row_predictions import MAX_ALTERED, RowPredictions, cache_size
 from impact_rs_analysis.evidence.tables.table_entries import TableEntries, turned
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects import Effect
@@ -148,10 +148,10 @@ class _Comparison:
         predictions: Predictions of the rows.
         groups: Rows by cluster.
         repeated: Whether clusters are conditions with repeats.
-        seen: Positions of the entries that are compared.
-        map_tasks: Who runs what :meth:`ImpactTableSource.spread` is given; None: this process.
+        columns: Positions of the entries that are compared.
+        map_tasks: Who runs what :meth:`ImpactTableSource.distribute` is given; None: this process.
         interleaved: See :attr:`Source.interleaved`.
-        most_featured: Number of sets of effects whose features are kept.
+        cached_feature_sets: Number of sets of effects whose features are kept.
     """
 
     table: ImpactTable
@@ -159,10 +159,10 @@ class _Comparison:
     predictions: RowPredictions
     groups: tuple[RowGroup, ...]
     repeated: bool
-    seen: tuple[int, ...]
+    columns: tuple[int, ...]
     map_tasks: Map | None
     interleaved: bool = False
-    most_featured: int = MAX_ALTERED
+    cached_feature_sets: int = MAX_ALTERED
 
 
 class ImpactTableSource(Source):
@@ -174,7 +174,7 @@ class ImpactTableSource(Source):
         each_arm: Whether arms of one kind have parameters of their own.
         discrepancy: Discrepancy of the rigid map, for arms; None: as measured.
         remarks: Whether to look for remarks.
-        map_tasks: Who runs what :meth:`spread` is given; None: this process.
+        map_tasks: Who runs what :meth:`distribute` is given; None: this process.
 
     Attributes:
         entries: All entries of the rows.
@@ -204,57 +204,60 @@ class ImpactTableSource(Source):
         model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
         known = measured_map_discrepancy() if discrepancy is None else discrepancy
         distinct = {id(row.physics): row.physics for row in table.rows}
-        places = {number: place for place, number in enumerate(distinct)}
+        index_of = {number: index for index, number in enumerate(distinct)}
         entries = TableEntries(
             table=replace(table, variants=()),
             worlds=tuple(model.apply(physics) for physics in distinct.values()),
-            world_of=tuple(places[id(row.physics)] for row in table.rows),
+            world_of=tuple(index_of[id(row.physics)] for row in table.rows),
             map_discrepancy=known if table.arms else NO_MAP_DISCREPANCY,
         )
         groups = conditions(table)
-        self._compare(
+        self._adopt(
             _Comparison(
                 table=table,
                 model=model,
                 predictions=RowPredictions.of(entries, model.known_effects),
                 groups=tuple(blocks(table) if groups is None else groups),
                 repeated=groups is not None,
-                seen=_places(table, joints=table.joints, body=True),
+                columns=_columns(table, joints=table.joints, body=True),
                 map_tasks=map_tasks,
             )
         )
-        self.impossible = self._gain_of_energy()
+        self.impossible = self._energy_gain()
         self.remarks = tuple(self._remarks()) if remarks else ()
 
-    def _compare(self, chosen: _Comparison) -> None:
+    def _adopt(self, chosen: _Comparison) -> None:
         """Compare what is chosen."""
-        self._chosen, self._predictions, self._groups = chosen, chosen.predictions, chosen.groups
+        self._comparison, self._predictions, self._groups = chosen, chosen.predictions, chosen.groups
         self.table, self.model = chosen.table, chosen.model
         self.repeated, self.interleaved = chosen.repeated, chosen.interleaved
         self.entries = entries = chosen.predictions.entries
         self.physics = entries.worlds[0]
         self.size_unit = TIMES if self.repeated else self.residual_unit
         self.size_is = SIZE_TEXT_WITH_REPEATS if self.repeated else SIZE_TEXT_WITHOUT_REPEATS
-        self._seen = seen = list(chosen.seen)
-        self._featured = Recent[list[Array | None]](chosen.most_featured)
-        self.signals, self.worth = tuple(entries.signals[place] for place in seen), entries.worth[:, seen]
-        self.measured = entries.measured[:, seen]
-        self.noise = None if entries.noise is None else entries.noise[:, seen]
+        self._columns = columns = list(chosen.columns)
+        self._feature_cache = Recent[list[Array | None]](chosen.cached_feature_sets)
+        self.signals, self.energy_weights = (
+            tuple(entries.signals[column] for column in columns),
+            entries.energy_weights[:, columns],
+        )
+        self.measured = entries.measured[:, columns]
+        self.noise = None if entries.noise is None else entries.noise[:, columns]
         self.predicted = self.predicted_with(())
         self.clusters = self._clusters()
 
-    def _compared(self, chosen: _Comparison) -> ImpactTableSource:
+    def _copy_with(self, chosen: _Comparison) -> ImpactTableSource:
         """The same measurements, compared in another way."""
-        found = ImpactTableSource.__new__(ImpactTableSource)
-        found._compare(chosen)
-        found.impossible, found.remarks, found.folds = self.impossible, self.remarks, self.folds
-        return found
+        source = ImpactTableSource.__new__(ImpactTableSource)
+        source._adopt(chosen)
+        source.impossible, source.remarks, source.folds = self.impossible, self.remarks, self.folds
+        return source
 
     def __getstate__(self) -> dict[str, Any]:
         """State for another process, without variants of the table, processes, and what is kept of predictions."""
-        chosen = replace(self._chosen, map_tasks=None, table=self.entries.table)
-        own = {"_chosen": chosen, "table": chosen.table, "_featured": Recent(chosen.most_featured)}
-        return {**super().__getstate__(), **own}
+        chosen = replace(self._comparison, map_tasks=None, table=self.entries.table)
+        bare = {"_comparison": chosen, "table": chosen.table, "_feature_cache": Recent(chosen.cached_feature_sets)}
+        return {**super().__getstate__(), **bare}
 
     @property
     def covariates(self) -> tuple[Covariate, ...]:
@@ -283,14 +286,16 @@ class ImpactTableSource(Source):
 
         Blocks are small: a session may have few rows, and a test by signs of blocks needs several in each.
         """
-        chosen = self._chosen
+        chosen = self._comparison
         if not chosen.repeated and not chosen.interleaved:
             chosen = replace(chosen, groups=tuple(blocks(self.table, MAX_SMALL_BLOCKS)), interleaved=True)
-        shown = {name: self._shown(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
-        predictions = self._predictions.knowing(effects, shown)
-        return self._compared(replace(chosen, predictions=predictions, most_featured=most_kept(self.entries, 4)))
+        shown = {name: self._grouped_covariate(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
+        predictions = self._predictions.with_dependences(effects, shown)
+        return self._copy_with(
+            replace(chosen, predictions=predictions, cached_feature_sets=cache_size(self.entries, 4))
+        )
 
-    def _shown(self, name: str) -> list[float | str]:
+    def _grouped_covariate(self, name: str) -> list[float | str]:
         """A covariate by row; above ``MAX_DISTINCT_NUMBERS`` different numbers, means of groups of equal size."""
         values = [row.circumstances[name] for row in self.table.rows]
         numbers = np.array([value for value in values if isinstance(value, float)])
@@ -303,13 +308,13 @@ class ImpactTableSource(Source):
     def offers(self, effect: Effect) -> bool:
         """See :meth:`Source.offers`; sensors are those of a free body whose turn was measured."""
         turned = bool(self.table.turning and not self.table.arms)
-        wanted = {
+        measurable = {
             MIRRORED_SPINS.name: bool(self.starts(MIRRORED_SPINS.name)),
             TWIST_AXES.name: bool(self.starts(TWIST_AXES.name)),
             TRACKED_POINT_OF_IMPACT.name: self._oriented,
         }
         return super().offers(effect) and (
-            effect.acts_on != "sensing" or (turned and wanted.get(effect.name, effect.name == SPIN_AXES.name))
+            effect.acts_on != "sensing" or (turned and measurable.get(effect.name, effect.name == SPIN_AXES.name))
         )
 
     @property
@@ -329,10 +334,10 @@ class ImpactTableSource(Source):
         kinds = {SPIN_AXES.name: ("spins", 1.0), MIRRORED_SPINS.name: ("spins", -1.0), TWIST_AXES.name: ("twists", 1.0)}
         if name not in kinds or not exact:
             return ()
-        found = [other for other in self._other_axes if (other.of, other.sign) == kinds[name]]
+        suggestions = [axes for axes in self._other_axes if (axes.of, axes.sign) == kinds[name]]
         tail = [-1.0] if name == MIRRORED_SPINS.name else []
-        shares = [2.0 / 3.0 if np.linalg.norm(other.vector) > 0.9 * np.pi else 1.0 for other in found]
-        return [np.append(share * other.vector, tail) for share, other in zip(shares, found, strict=True)]
+        shares = [2.0 / 3.0 if np.linalg.norm(axes.vector) > 0.9 * np.pi else 1.0 for axes in suggestions]
+        return [np.append(share * axes.vector, tail) for share, axes in zip(shares, suggestions, strict=True)]
 
     @cached_property
     def _other_axes(self) -> list[OtherAxes]:
@@ -366,32 +371,37 @@ class ImpactTableSource(Source):
             values = [row.circumstances[name] for row in self.table.rows]
             for level in dict.fromkeys(value for value in values if isinstance(value, str)):
                 chosen |= evenly([n for n, value in enumerate(values) if value == level], SEARCHED_ROWS_OF_LEVEL)
-        found = self._of(self.table.part(sorted(chosen)), remarks=False)
-        found.remarks, found.folds = self.remarks, FOLDS_OF_LARGE_TABLE
-        return found
+        subsample = self._of(self.table.part(sorted(chosen)), remarks=False)
+        subsample.remarks, subsample.folds = self.remarks, FOLDS_OF_LARGE_TABLE
+        return subsample
 
     def unseen(self, searched: Source, added: Added) -> tuple[str, ...]:
         """See :meth:`Source.unseen`."""
         if searched is self:
             return ()
-        known = {row.number for row in searched.table.rows} if isinstance(searched, ImpactTableSource) else set()
-        others = [place for place, row in enumerate(self.table.rows) if row.number not in known]
+        assert isinstance(searched, ImpactTableSource)
+        searched_rows = {row.number for row in searched.table.rows}
+        unsearched = [index for index, row in enumerate(self.table.rows) if row.number not in searched_rows]
         before, after = (
-            self._in_energy((self.measured - found)[others], others)
-            for found in (self.predicted, self.predicted_with(added) if added else self.predicted)
+            self._energy_norm((self.measured - predicted)[unsearched], unsearched)
+            for predicted in (self.predicted, self.predicted_with(added) if added else self.predicted)
         )
-        noise = "" if self.noise is None else f" (noise alone: {self._in_energy(self.noise[others], others):.3g})"
+        noise = (
+            "" if self.noise is None else f" (noise alone: {self._energy_norm(self.noise[unsearched], unsearched):.3g})"
+        )
         fall = f"falls from {before:.3g} to {after:.3g} m/s" if added else f"is {before:.3g} m/s"
         return (
-            f"{len(known)} of {len(self.table.rows)} rows were searched, evenly taken: effects and intervals are "
-            f"theirs. On the {len(others)} others the error {fall}{noise}",
+            f"{len(searched_rows)} of {len(self.table.rows)} rows were searched, evenly taken: effects and intervals "
+            f"are theirs. On the {len(unsearched)} others the error {fall}{noise}",
         )
 
-    def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
-        """See :meth:`Source.spread`."""
-        tasks = self._chosen.map_tasks
+    def distribute(
+        self, function: Callable[[Source, Item], Output], items: Sequence[Item], purpose: str
+    ) -> list[Output]:
+        """See :meth:`Source.distribute`."""
+        tasks = self._comparison.map_tasks
         if tasks is None:
-            return super().spread(function, items, what)
+            return super().distribute(function, items, purpose)
         return list(tasks(partial(function, self), items))
 
     def views(self) -> tuple[View, ...]:
@@ -399,16 +409,16 @@ class ImpactTableSource(Source):
 
         Joints and object of an arm apart, other contact points where they decide, and what is not known well.
         """
-        found = [View(name, part) for name, part in self._parts().items()]
+        views = [View(name, part) for name, part in self._parts().items()]
         for times in (1.0 / MAX_TOLERANCE_FACTOR, MAX_TOLERANCE_FACTOR):
             if self._contacts_matter(times):
                 how = f"points within {1e3 * times * self.table.tolerance:g} mm"
-                found.append(View(how, self._with_contacts(times), "--contact-tolerance"))
-        for one in self.table.variants:
-            source = self._of(one.table, remarks=False)
-            name = f"{one.of} = {one.value:.4g} {one.unit}".removesuffix(" -")
-            found.append(View(name, source, "--unsure", one.of, one.value, one.unit))
-        return tuple(found)
+                views.append(View(how, self._with_contacts(times), "--contact-tolerance"))
+        for variant in self.table.variants:
+            source = self._of(variant.table, remarks=False)
+            name = f"{variant.of} = {variant.value:.4g} {variant.unit}".removesuffix(" -")
+            views.append(View(name, source, "--unsure", variant.of, variant.value, variant.unit))
+        return tuple(views)
 
     @property
     def identity(self) -> Identity:
@@ -420,22 +430,22 @@ class ImpactTableSource(Source):
         """Joints and object of an arm, each alone; none without an arm, or if the object alone was measured."""
         if not (self.table.arms and self.table.joints):
             return {}
-        seen = {name: _places(self.table, joints=name == "joints", body=name == "object") for name in PARTS_OF_ROW}
-        return {name: self._compared(replace(self._chosen, seen=own)) for name, own in seen.items()}
+        columns = {name: _columns(self.table, joints=name == "joints", body=name == "object") for name in PARTS_OF_ROW}
+        return {name: self._copy_with(replace(self._comparison, columns=columns[name])) for name in PARTS_OF_ROW}
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
         """See :attr:`Source.comparison_remarks`; with how far joints and object are off, and rows by covariate."""
         sizes = ", ".join(f"{name} {part.size():.3g}" for name, part in self._parts().items())
         apart = [f"apart: {sizes} {self.size_unit}"] if sizes else []
-        squares = np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1)
+        squares = np.sum(np.square((self.measured - self.predicted) * self.energy_weights), axis=1)
         for name in self.table.covariates:
             groups = by_circumstance(self.table, name, range(len(squares)))
-            parts = {label: float(np.sqrt(np.mean(squares[own]))) for label, own in groups.items()}
+            parts = {label: float(np.sqrt(np.mean(squares[rows]))) for label, rows in groups.items()}
             first = sorted(parts.items())[:MAX_LEVELS_SHOWN]
             shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in first)
-            left = len(parts) - MAX_LEVELS_SHOWN
-            apart.append(f"differences by {name}: {shown}{f' and {left} more' if left > 0 else ''}")
+            hidden = len(parts) - MAX_LEVELS_SHOWN
+            apart.append(f"differences by {name}: {shown}{f' and {hidden} more' if hidden > 0 else ''}")
         return (*self.remarks, *apart)
 
     @property
@@ -450,28 +460,29 @@ class ImpactTableSource(Source):
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`; the mean over all entries of a row times their number is d^2."""
         rows = next(group.rows for group in self._groups if group.name == item.name)
-        worth = self.worth[list(rows)]
+        worth = self.energy_weights[list(rows)]
         worth = worth.mean(axis=0) if self.repeated else worth.ravel()
         return np.asarray(item.sigma * worth * np.sqrt(len(self.signals)))
 
-    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+    def predict(self, requests: Sequence[tuple[int, Added]], purpose: str) -> list[Array | None]:
         """See :meth:`Source.predict`."""
-        del what
-        found = {added: self._features(added) for added in dict.fromkeys(added for _, added in wanted)}
-        return [found[added][number] for number, added in wanted]
+        del purpose
+        features = {added: self._features(added) for added in dict.fromkeys(added for _, added in requests)}
+        return [features[added][number] for number, added in requests]
 
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.residuals_with`; every repeat starts from its own state."""
         numbers = {item.name: number for number, item in enumerate(self.clusters)}
-        answers = self._answers(added)
+        answers = self._predicted_entries(added)
         result = []
         for item in like:
             number = numbers[item.name]
             rows = self._rows(number, answers)
             if rows is None:
                 return None
-            rest = self.measured[list(self._groups[number].rows)] - rows
-            result.append(replace(item, residuals=(rest if self.repeated else rest.reshape(1, -1)) / item.sigma))
+            residuals = self.measured[list(self._groups[number].rows)] - rows
+            residuals = residuals if self.repeated else residuals.reshape(1, -1)
+            result.append(replace(item, residuals=residuals / item.sigma))
         return result
 
     def predicted_with(self, added: Added) -> Array:
@@ -480,14 +491,14 @@ class ImpactTableSource(Source):
         Raises:
             InputError: The effects give a body without positive inertia, or some row has no solution.
         """
-        found = self._answers(added)
-        if found is None:
+        predicted = self._predicted_entries(added)
+        if predicted is None:
             raise InputError("with these effects the body has no positive inertia", file=self.table.path)
-        unsolved = np.flatnonzero(np.isnan(found).any(axis=1))
+        unsolved = np.flatnonzero(np.isnan(predicted).any(axis=1))
         if unsolved.size:
             row = self.table.rows[unsolved[0]]
             raise InputError("no velocities obey the contact laws", file=self.table.path, key=f"row {row.number}")
-        return found
+        return predicted
 
     def predict_row(self, row: int, added: Sequence[Added]) -> list[Array | None]:
         """u^+ of one row for the model with each of some sets of effects, solved together, ``(nv,)`` [rad/s, m/s].
@@ -499,8 +510,10 @@ class ImpactTableSource(Source):
         Returns:
             None where the effects give a body without positive inertia, or no velocities obey the laws.
         """
-        found = [None if all_ is None else all_[self._seen] for all_ in self._predictions.one_row(row, added)]
-        return [None if one is None or np.isnan(one).any() else one for one in found]
+        predictions = [
+            None if values is None else values[self._columns] for values in self._predictions.one_row(row, added)
+        ]
+        return [None if values is None or np.isnan(values).any() else values for values in predictions]
 
     def map_discrepancy_of(self, row: int) -> Array:
         """Discrepancy of the rigid map of the entries of a row that are compared, ``(F,)``."""
@@ -508,13 +521,13 @@ class ImpactTableSource(Source):
             return np.zeros(len(self.signals))
         entries = self.entries
         world, speed = entries.worlds[entries.world_of[row]], float(entries.impacts.closing_speeds[row])
-        return entries.discrepancy_of(row, world, speed)[self._seen]
+        return entries.discrepancy_of(row, world, speed)[self._columns]
 
     def size(self) -> float:
         """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""
         if self.repeated:
             return super().size()
-        return self._in_energy(self.measured - self.predicted)
+        return self._energy_norm(self.measured - self.predicted)
 
     def noise_size(self) -> float | None:
         """Value of :meth:`size` if only noise is left; None if the noise is not known."""
@@ -522,7 +535,7 @@ class ImpactTableSource(Source):
             return super().noise_size()
         if self.noise is None:
             return None
-        return self._in_energy(self.noise)
+        return self._energy_norm(self.noise)
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: the velocities just after the impact."""
@@ -539,8 +552,8 @@ class ImpactTableSource(Source):
         del map_tasks
         predictions = {"the model": self.predicted}
         if added:
-            found = self.predicted_with(added)
-            predictions = {"model": self.predicted, "model with the effects found": found}
+            with_effects = self.predicted_with(added)
+            predictions = {"model": self.predicted, "model with the effects found": with_effects}
         number = np.array([float(row.number) for row in self.table.rows])
         return tuple(
             Track(
@@ -568,42 +581,42 @@ class ImpactTableSource(Source):
         """:meth:`predict` of every cluster; the diagnosis asks for the same effects again and again."""
 
         def made() -> list[Array | None]:
-            answers = self._answers(added)
-            found = [self._rows(number, answers) for number in range(len(self._groups))]
-            return [rows if rows is None else rows.mean(axis=0) if self.repeated else rows.ravel() for rows in found]
+            answers = self._predicted_entries(added)
+            clusters = [self._rows(number, answers) for number in range(len(self._groups))]
+            return [rows if rows is None else rows.mean(axis=0) if self.repeated else rows.ravel() for rows in clusters]
 
-        return self._featured.of(added, made)
+        return self._feature_cache.of(added, made)
 
-    def _answers(self, added: Added) -> Array | None:
+    def _predicted_entries(self, added: Added) -> Array | None:
         """Compared entries of all rows with effects, ``(rows, F)``, nan without solution; None: no positive inertia."""
-        found = self._predictions.all_rows(added)
-        return None if found is None else found[:, self._seen]
+        entries = self._predictions.all_rows(added)
+        return None if entries is None else entries[:, self._columns]
 
     @property
-    def _of_the_map(self) -> Array:
+    def _map_discrepancy(self) -> Array:
         """Discrepancy of the rigid map of the compared entries, rms over the rows, ``(F,)``."""
-        return self.entries.discrepancy[self._seen]
+        return self.entries.discrepancy[self._columns]
 
     def _clusters(self) -> tuple[Cluster, ...]:
-        rest = self.measured - self.predicted
+        residuals = self.measured - self.predicted
         limit = np.array([feature.relevance_limit for feature in self.signals]) / 2.0
         if self.repeated:
-            pooled = pooled_error([rest[list(group.rows)] for group in self._groups])
+            pooled = pooled_error([residuals[list(group.rows)] for group in self._groups])
             assert pooled is not None
             self._pooled, stated = pooled, self._stated_noise()
             pure = pooled if stated is None else np.maximum(pooled, stated)
-            sigma = np.broadcast_to(np.sqrt(pure**2 + limit**2 + self._of_the_map**2), rest.shape)
-            noise = np.broadcast_to(pure, rest.shape)
+            sigma = np.broadcast_to(np.sqrt(pure**2 + limit**2 + self._map_discrepancy**2), residuals.shape)
+            noise = np.broadcast_to(pure, residuals.shape)
         else:
-            sigma = max(self.size() / np.sqrt(len(self.signals)), MIN_SCALE_M_S) / self.worth
-            noise = np.zeros_like(rest) if self.noise is None else self.noise
-        return with_intervals(self, [self._cluster(group, rest, sigma, noise) for group in self._groups])
+            sigma = max(self.size() / np.sqrt(len(self.signals)), MIN_SCALE_M_S) / self.energy_weights
+            noise = np.zeros_like(residuals) if self.noise is None else self.noise
+        return with_intervals(self, [self._cluster(group, residuals, sigma, noise) for group in self._groups])
 
-    def _cluster(self, group: RowGroup, rest: Array, sigma: Array, noise: Array) -> Cluster:
+    def _cluster(self, group: RowGroup, residuals: Array, sigma: Array, noise: Array) -> Cluster:
         rows = list(group.rows)
         shown = rows[:1] if self.repeated else rows
         features = tuple(replace(feature, phase=self._phase(row)) for row in shown for feature in self.signals)
-        scaled = rest[rows] / sigma[rows]
+        scaled = residuals[rows] / sigma[rows]
         first = self.table.rows[rows[0]]
         return Cluster(
             name=group.name,
@@ -619,7 +632,7 @@ class ImpactTableSource(Source):
             residuals=scaled if self.repeated else scaled.reshape(1, -1),
             sigma=sigma[shown].ravel(),
             pure_error=(noise[shown] / sigma[shown]).ravel(),
-            discrepancy=(self._of_the_map / sigma[shown]).ravel(),
+            discrepancy=(self._map_discrepancy / sigma[shown]).ravel(),
             discrepancy_key=group.name if self.entries.kinds[rows[0]] == "oblique" else None,
             timestamps=np.array(rows, dtype=float) if self.repeated else None,
         )
@@ -649,7 +662,7 @@ class ImpactTableSource(Source):
                         f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves "
                         "beyond that is no noise"
                     )
-        if (unsure := self._unsure_contacts()) is not None:
+        if (unsure := self._contact_remark()) is not None:
             remarks.append(unsure)
         if self.repeated and (stated := self._stated_noise()) is not None:
             ratio = float(np.sqrt(np.mean(np.square(self._pooled / np.maximum(stated, MIN_SCALE_M_S)))))
@@ -657,12 +670,15 @@ class ImpactTableSource(Source):
                 f"repeats scatter {ratio:.2g} times as much as the noise columns say; of every velocity the larger of "
                 "both counts"
             )
-        if self.noise is not None and (own := self._in_energy(self.entries.noise_of_contacts[:, self._seen])) > 0.0:
+        contact_noise = (
+            0.0 if self.noise is None else self._energy_norm(self.entries.noise_of_contacts[:, self._columns])
+        )
+        if contact_noise > 0.0:
             remarks.append(
-                f"place and normal of the contacts, known to {P_NOISE.first} and {N_NOISE.first}, are {own:.2g} m/s of "
-                "the noise"
+                f"position and normal of the contacts, known to {P_NOISE.first} and {N_NOISE.first}, are "
+                f"{contact_noise:.2g} m/s of the noise"
             )
-        ratios = zip(self.table.rows, self._gained, strict=True)
+        ratios = zip(self.table.rows, self._energy_ratios, strict=True)
         gained = [row.number for row, ratio in ratios if ratio > MAX_ENERGY_RATIO]
         if gained and not self.impossible:
             shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
@@ -683,42 +699,44 @@ class ImpactTableSource(Source):
         """
         rows = []
         for row in self.table.rows:
-            other = row.wider if times > 1.0 else row.narrower
-            rows.append(replace(row, impact=row.impact if other is None else other, wider=None, narrower=None))
+            impact = row.wider if times > 1.0 else row.narrower
+            rows.append(replace(row, impact=row.impact if impact is None else impact, wider=None, narrower=None))
         table = replace(self.table, rows=tuple(rows), tolerance=times * self.table.tolerance)
         return self._of(table, remarks=True)
 
     def _of(self, table: ImpactTable, remarks: bool) -> ImpactTableSource:
         """Another table against the same model."""
-        found = ImpactTableSource(
-            table, self.model, False, self.entries.map_discrepancy, remarks, self._chosen.map_tasks
+        source = ImpactTableSource(
+            table, self.model, False, self.entries.map_discrepancy, remarks, self._comparison.map_tasks
         )
-        found.folds = self.folds
-        return found
+        source.folds = self.folds
+        return source
 
     def _contacts_moved(self, times: float) -> float:
         """How much predictions move with the contact points of another tolerance, as :meth:`size` in m/s."""
-        others = [(n, row.wider if times > 1.0 else row.narrower) for n, row in enumerate(self.table.rows)]
-        changed = [(number, impact) for number, impact in others if impact is not None]
+        alternatives = [(n, row.wider if times > 1.0 else row.narrower) for n, row in enumerate(self.table.rows)]
+        changed = [(number, impact) for number, impact in alternatives if impact is not None]
         if not changed:
             return 0.0
         numbers, impacts = [number for number, _ in changed], [impact for _, impact in changed]
         physics = [self.entries.worlds[self.entries.world_of[number]] for number in numbers]
-        entries = self.entries.predicted(MeasuredImpacts(impacts, physics), physics, numbers)[:, self._seen]
+        entries = self.entries.predicted(MeasuredImpacts(impacts, physics), physics, numbers)[:, self._columns]
         moved = np.zeros_like(self.predicted)
         moved[numbers] = np.nan_to_num(entries - self.predicted[numbers])
-        return self._in_energy(moved)
+        return self._energy_norm(moved)
 
     def _contacts_matter(self, times: float) -> bool:
         """Whether the contact points of another tolerance may decide a verdict."""
-        return self._contacts_moved(times) > MIN_CONTACT_CHANGE_RATIO * self._in_energy(self.measured - self.predicted)
+        return self._contacts_moved(times) > MIN_CONTACT_CHANGE_RATIO * self._energy_norm(
+            self.measured - self.predicted
+        )
 
-    def _in_energy(self, rest: Array, rows: Sequence[int] | None = None) -> float:
+    def _energy_norm(self, differences: Array, rows: Sequence[int] | None = None) -> float:
         """Rms over rows (None: all) of d of the module, of differences ``(rows, F)`` [m/s]."""
-        worth = self.worth if rows is None else self.worth[list(rows)]
-        return float(np.sqrt(np.mean(np.sum(np.square(rest * worth), axis=1))))
+        worth = self.energy_weights if rows is None else self.energy_weights[list(rows)]
+        return float(np.sqrt(np.mean(np.sum(np.square(differences * worth), axis=1))))
 
-    def _unsure_contacts(self) -> str | None:
+    def _contact_remark(self) -> str | None:
         """How much depends on where bodies touch; None: nothing, or points were measured."""
         count = sum(row.wider is not None for row in self.table.rows)
         if not count:
@@ -727,17 +745,17 @@ class ImpactTableSource(Source):
             f"which points touch is unsure in {count} of {len(self.table.rows)} rows: with "
             f"{1e3 * MAX_TOLERANCE_FACTOR * self.table.tolerance:g} in place of {1e3 * self.table.tolerance:g} mm "
             f"predictions move by {self._contacts_moved(MAX_TOLERANCE_FACTOR):.2g} m/s, beside "
-            f"{self._in_energy(self.measured - self.predicted):.2g} m/s between measurement and model "
+            f"{self._energy_norm(self.measured - self.predicted):.2g} m/s between measurement and model "
             "(--contact-tolerance)"
         )
 
-    def scatter_of_neighbours(self, rest: Array) -> float | None:
+    def scatter_of_neighbours(self, residuals: Array) -> float | None:
         """Size of what rows with nearly the same state before differ by, an upper limit of the noise [m/s].
 
         The state of a free body is its twist and the place of its contact, in contact axes.
 
         Args:
-            rest: Residual of a model, ``(rows, nv)``; the smoother, the lower is the limit.
+            residuals: Residual of a model, ``(rows, nv)``; the smoother, the lower is the limit.
 
         Returns:
             None with too few rows, or with arms, whose states have too many coordinates.
@@ -749,16 +767,16 @@ class ImpactTableSource(Source):
             axes @ (np.mean([point.position for point in row.impact.points], axis=0) - row.impact.object.position)
             for row, axes in zip(self.table.rows, self.entries.axes, strict=True)
         ]
-        found = nearest_neighbour_noise(np.hstack((before, levers)), rest)
-        return None if found is None else self._in_energy(found)
+        noise = nearest_neighbour_noise(np.hstack((before, levers)), residuals)
+        return None if noise is None else self._energy_norm(noise)
 
     def _stated_noise(self) -> Array | None:
         """Standard deviation of the noise columns by feature, ``(nv,)``; None: there are none."""
         return None if self.noise is None else np.sqrt(np.mean(np.square(self.noise), axis=0))
 
-    def _gain_of_energy(self) -> str:
+    def _energy_gain(self) -> str:
         """That the rows as a whole leave with more kinetic energy than they came with; empty: they do not."""
-        ratios = self._gained[np.isfinite(self._gained)]
+        ratios = self._energy_ratios[np.isfinite(self._energy_ratios)]
         if ratios.size < MIN_ROWS_OF_ENERGY:
             return ""
         error = float(ratios.std(ddof=1)) / np.sqrt(ratios.size)
@@ -773,21 +791,21 @@ class ImpactTableSource(Source):
         )
 
     @cached_property
-    def _gained(self) -> Array:
+    def _energy_ratios(self) -> Array:
         """Measured kinetic energy after over before, ``(rows,)`` [-]."""
-        found = []
+        ratios = []
         for row, system in zip(self.table.rows, self.entries.systems, strict=True):
             before, after = (float(u @ system.inertia @ u) for u in (system.velocity, row.after))
-            found.append(after / max(before, 1e-300))
-        return np.array(found)  # nan where something was not measured after
+            ratios.append(after / max(before, 1e-300))
+        return np.array(ratios)  # nan where something was not measured after
 
 
-def _places(table: ImpactTable, joints: bool, body: bool) -> tuple[int, ...]:
+def _columns(table: ImpactTable, joints: bool, body: bool) -> tuple[int, ...]:
     """Positions of the entries of joints or of the body, or of both, without what was not measured."""
     count = table.rows[0].after.size
-    found = list(range(count - 6)) if joints else []
+    columns = list(range(count - 6)) if joints else []
     if body and table.centre:
-        found += range(count - 6, count - 3)
+        columns += range(count - 6, count - 3)
     if body and table.turning:
-        found += range(count - 3, count)
-    return (*found, count) if body and not table.centre else tuple(found)
+        columns += range(count - 3, count)
+    return (*columns, count) if body and not table.centre else tuple(columns)

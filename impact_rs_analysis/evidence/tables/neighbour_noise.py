@@ -42,8 +42,7 @@ def nearest_neighbour_noise(states: Array, residuals: Array) -> Array | None:
     if rows < MIN_ROWS_PER_COEFFICIENT * (coordinates + 1):
         return None
     _, near = scipy.spatial.cKDTree(states).query(states, k=count + 1)
-    own = np.arange(rows)
-    near = np.array([[other for other in found if other != row][:count] for row, found in zip(own, near, strict=True)])
+    near = np.array([[other for other in nearest if other != row][:count] for row, nearest in enumerate(near)])
     moved = np.concatenate((np.ones((rows, count, 1)), states[near] - states[:, None]), axis=2)
     inverse = np.linalg.pinv(moved)  # (rows, d + 1, count); its first row gives the value at the state itself
     expected = np.einsum("nk,nkf->nf", inverse[:, 0], residuals[near])

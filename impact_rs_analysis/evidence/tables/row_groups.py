@@ -14,7 +14,7 @@ from impact_rs_sim.effects.depending import level_name
 from impact_rs_trials.recordings.impacts.impact_table import ImpactTable
 
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
-LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a number
+MIN_ROWS_OF_HALF = 2  # rows of a condition on either side of the median of a number
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def conditions(table: ImpactTable) -> list[RowGroup] | None:
     parts = [
         RowGroup(", ".join([name, *labels]), name, tuple(rows))
         for (name, _), whole in grouped.items()
-        for labels, rows in _under_like_circumstances(table, whole)
+        for labels, rows in _by_circumstances(table, whole)
     ]
     freedom = sum(len(part.rows) - 1 for part in parts)
     if len(grouped) < MIN_CLUSTERS or freedom < MIN_DEGREES_OF_FREEDOM:
@@ -53,18 +53,20 @@ def conditions(table: ImpactTable) -> list[RowGroup] | None:
     return parts
 
 
-def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
+def _by_circumstances(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
     """Rows of a condition by levels of all covariates, and by halves of numbers; each with what it is, in words."""
     parts: list[tuple[list[str], list[int]]] = [([], whole)]
     for name in table.covariates:
         split = []
         for labels, rows in parts:
-            own = by_circumstance(table, name, rows)
+            by_label = by_circumstance(table, name, rows)
             halves = len({row.circumstances[name] for row in table.rows}) > MAX_NUMBERS_AS_LEVELS
             numbers = isinstance(table.rows[rows[0]].circumstances[name], float)
             # Halves of a number are repeats of each other only if several rows are left in both.
-            whole_part = len(own) == 1 or (numbers and halves and min(map(len, own.values())) < LEAST_OF_HALF)
-            split += [(labels, rows)] if whole_part else [([*labels, label], some) for label, some in own.items()]
+            whole_part = len(by_label) == 1 or (
+                numbers and halves and min(map(len, by_label.values())) < MIN_ROWS_OF_HALF
+            )
+            split += [(labels, rows)] if whole_part else [([*labels, *item[:1]], item[1]) for item in by_label.items()]
         parts = split
     return parts
 
@@ -84,13 +86,13 @@ def by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict[
     numbers = [value for value in values if isinstance(value, float)]
     many = len({row.circumstances[name] for row in table.rows}) > MAX_NUMBERS_AS_LEVELS
     middle = float(np.median(numbers)) if numbers and many else None
-    found: dict[str, list[int]] = {}
+    rows_by_label: dict[str, list[int]] = {}
     for row, value in zip(rows, values, strict=True):
         label = level_name(value)
         if isinstance(value, float) and middle is not None:
             label = f"{'up to' if value <= middle else 'above'} {middle:.4g}"
-        found.setdefault(f"{name} {label} {unit if numbers else ''}".strip(), []).append(row)
-    return found
+        rows_by_label.setdefault(f"{name} {label} {unit if numbers else ''}".strip(), []).append(row)
+    return rows_by_label
 
 
 def blocks(table: ImpactTable, most: int = BLOCKS) -> list[RowGroup]:
@@ -103,15 +105,15 @@ def blocks(table: ImpactTable, most: int = BLOCKS) -> list[RowGroup]:
     count = len(table.rows)
     pieces = min(count, most)
     edges = np.arange(pieces + 1) * count // pieces
-    found = []
+    groups = []
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         name = f"row {low + 1}" if high - low == 1 else f"rows {low + 1} to {high}"
-        found.append(RowGroup(name, str(table.path), tuple(range(low, high))))
-    return found
+        groups.append(RowGroup(name, str(table.path), tuple(range(low, high))))
+    return groups
 
 
 def evenly(rows: Sequence[int], most: int) -> set[int]:
     """At most so many of some rows, evenly taken."""
     if len(rows) <= most:
         return set(rows)
-    return {rows[place] for place in np.linspace(0, len(rows) - 1, most).round().astype(int)}
+    return {rows[index] for index in np.linspace(0, len(rows) - 1, most).round().astype(int)}

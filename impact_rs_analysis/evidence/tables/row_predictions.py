@@ -46,15 +46,15 @@ class RowPredictions:
     @classmethod
     def of(cls, entries: TableEntries, effects: Mapping[str, Effect]) -> RowPredictions:
         """Predictions for the model of some entries."""
-        return cls(entries, entries.worlds, entries.world_of, effects, Recent(most_kept(entries)))
+        return cls(entries, entries.worlds, entries.world_of, effects, Recent(cache_size(entries)))
 
     def __getstate__(self) -> dict[str, Any]:
         """State for another process, without the predictions that are kept."""
-        return {**vars(self), "solved": Recent(most_kept(self.entries)), "altered": Recent(MAX_ALTERED)}
+        return {**vars(self), "solved": Recent(cache_size(self.entries)), "altered": Recent(MAX_ALTERED)}
 
-    def of_rows(self, worlds: Sequence[Physics]) -> list[Physics]:
+    def physics_of_rows(self, worlds: Sequence[Physics]) -> list[Physics]:
         """The physics of every row."""
-        return [worlds[place] for place in self.world_of]
+        return [worlds[world] for world in self.world_of]
 
     def all_rows(self, added: Added) -> Array | None:
         """Entries of all rows, ``(rows, n)``, nan where there is no solution; None: no positive inertia.
@@ -72,7 +72,7 @@ class RowPredictions:
             return None
         key = b"".join(_inputs_of_the_map(physics) for physics in worlds)
         entries = self.entries
-        return self.solved.of(key, lambda: entries.predicted(entries.impacts, self.of_rows(worlds)))
+        return self.solved.of(key, lambda: entries.predicted(entries.impacts, self.physics_of_rows(worlds)))
 
     def one_row(self, row: int, added: Sequence[Added]) -> list[Array | None]:
         """Entries of one row with each of some sets of effects, solved together, ``(n,)``.
@@ -84,17 +84,17 @@ class RowPredictions:
         Returns:
             None where the effects give a body without positive inertia.
         """
-        each = [self._world_with(self.world_of[row], effects) for effects in added]
-        worlds = {number: physics for number, physics in enumerate(each) if physics is not None}
+        changed = [self._world_with(self.world_of[row], effects) for effects in added]
+        worlds = {number: physics for number, physics in enumerate(changed) if physics is not None}
         if not worlds:
-            return [None] * len(each)
+            return [None] * len(changed)
         physics_of = list(worlds.values())
         impacts = MeasuredImpacts([self.entries.table.rows[row].impact] * len(physics_of), physics_of)
-        found = self.entries.predicted(impacts, physics_of, [row] * len(physics_of))
-        by_number = dict(zip(worlds, found, strict=True))
-        return [by_number.get(number) for number in range(len(each))]
+        entries = self.entries.predicted(impacts, physics_of, [row] * len(physics_of))
+        by_number = dict(zip(worlds, entries, strict=True))
+        return [by_number.get(number) for number in range(len(changed))]
 
-    def knowing(
+    def with_dependences(
         self, effects: Sequence[Depending], circumstances: Mapping[str, Sequence[float | str]]
     ) -> RowPredictions:
         """The same with effects that depend on covariates.
@@ -103,16 +103,16 @@ class RowPredictions:
             effects: The effects.
             circumstances: Covariates that they depend on, by row.
         """
-        places: dict[tuple[int, tuple[float | str, ...]], int] = {}
+        index_of: dict[tuple[int, tuple[float | str, ...]], int] = {}
         worlds, world_of = [], []
         for row, world in enumerate(self.world_of):
             values = tuple(of_rows[row] for of_rows in circumstances.values())
-            if (world, values) not in places:
-                places[world, values] = len(places)
+            if (world, values) not in index_of:
+                index_of[world, values] = len(index_of)
                 before = self.worlds[world]
-                own = {**before.circumstances, **dict(zip(circumstances, values, strict=True))}
-                worlds.append(replace(before, circumstances=own))
-            world_of.append(places[world, values])
+                extended = {**before.circumstances, **dict(zip(circumstances, values, strict=True))}
+                worlds.append(replace(before, circumstances=extended))
+            world_of.append(index_of[world, values])
         return replace(
             self,
             worlds=tuple(worlds),
@@ -121,11 +121,11 @@ class RowPredictions:
             altered=Recent(MAX_ALTERED),
         )
 
-    def _world_with(self, place: int, added: Added) -> Physics | None:
+    def _world_with(self, world: int, added: Added) -> Physics | None:
         """One of the physics with effects; None: no positive inertia."""
 
         def changed() -> Physics | None:
-            physics = self.worlds[place]
+            physics = self.worlds[world]
             try:
                 for name, values in added:
                     physics = self.effects[name].apply_vector(physics, np.array(values))
@@ -133,12 +133,12 @@ class RowPredictions:
                 return None
             return physics
 
-        return self.altered.of((place, added), changed)
+        return self.altered.of((world, added), changed)
 
 
-def most_kept(entries: TableEntries, share: int = 1) -> int:
+def cache_size(entries: TableEntries, share: int = 1) -> int:
     """Number of predictions of the whole table that are kept, in one of some shares of the memory."""
-    return max(1, MAX_PREDICTIONS_BYTES // share // entries.worth.nbytes)
+    return max(1, MAX_PREDICTIONS_BYTES // share // entries.energy_weights.nbytes)
 
 
 def _inputs_of_the_map(physics: Physics) -> bytes:

@@ -63,7 +63,7 @@ class TableEntries:
     @property
     def physics_of_rows(self) -> list[Physics]:
         """Physics of every row under the model."""
-        return [self.worlds[place] for place in self.world_of]
+        return [self.worlds[world] for world in self.world_of]
 
     @cached_property
     def axes(self) -> Array:
@@ -78,18 +78,18 @@ class TableEntries:
     @cached_property
     def signals(self) -> tuple[Feature, ...]:
         """The entries of a row, the same for all rows, ``n`` of them."""
-        found = []
+        features = []
         for name in self.table.rows[0].impact.arms:
             label = arm_label(name, self.table.arms)
             for column, unit in self.table.rows[0].physics.arms[name].facts.velocity_columns:
-                found.append(Feature("impact", JOINT_VELOCITY_AFTER, f"{label}{column}", 0, unit, 0.0, name))
+                features.append(Feature("impact", JOINT_VELOCITY_AFTER, f"{label}{column}", 0, unit, 0.0, name))
         names = AXES if self.table.arms else CONTACT_AXES
-        found += [Feature("impact", VELOCITY_AFTER, axis, 0, "m/s", 0.0) for axis in names]
-        found += [Feature("impact", ANGULAR_VELOCITY_AFTER, axis, 0, "rad/s", 0.0) for axis in names]
-        limits = RELEVANT * self.speed / lengths_of(found, self.worlds[0])
-        signals = [replace(f, relevance_limit=float(limit)) for f, limit in zip(found, limits, strict=True)]
+        features += [Feature("impact", VELOCITY_AFTER, axis, 0, "m/s", 0.0) for axis in names]
+        features += [Feature("impact", ANGULAR_VELOCITY_AFTER, axis, 0, "rad/s", 0.0) for axis in names]
+        limits = RELEVANT * self.speed / lengths_of(features, self.worlds[0])
+        signals = [replace(f, relevance_limit=float(limit)) for f, limit in zip(features, limits, strict=True)]
         if self.has_distances:
-            lasting = float(np.sqrt(np.mean(np.square(self.lasting))))
+            lasting = float(np.sqrt(np.mean(np.square(self.distance_slopes))))
             signals.append(Feature("impact", DISTANCE, "horizontal", 0, "m", RELEVANT * self.speed * lasting))
         return tuple(signals)
 
@@ -99,7 +99,7 @@ class TableEntries:
         return not self.table.centre
 
     @cached_property
-    def lasting(self) -> Array:
+    def distance_slopes(self) -> Array:
         """Change of the distance of every row by one of the velocity, ``(rows,)`` [s].
 
         Raises:
@@ -107,35 +107,35 @@ class TableEntries:
         """
         worlds = self.physics_of_rows
         velocities, _ = self.impacts.solve(worlds)
-        found = []
+        durations = []
         for row, velocity, world in zip(self.table.rows, velocities, worlds, strict=True):
             assert row.distance is not None
             if np.isnan(velocity).any():
                 raise InputError("no velocities obey the contact laws", file=self.table.path, key=f"row {row.number}")
-            found.append(row.distance.distance_per_speed(velocity[-6:-3], world))
-        return np.array(found)
+            durations.append(row.distance.distance_per_speed(velocity[-6:-3], world))
+        return np.array(durations)
 
     @cached_property
     def measured(self) -> Array:
         """Measured entries of all rows, ``(rows, n)`` [rad/s, m/s, m], nan of what was not measured."""
-        found = turned(np.array([row.after for row in self.table.rows]), self.axes)
+        entries = turned(np.array([row.after for row in self.table.rows]), self.axes)
         if not self.has_distances:
-            return found
-        ways = [np.nan if row.distance is None else row.distance.measured for row in self.table.rows]
-        return np.column_stack((found, ways))
+            return entries
+        distances = [np.nan if row.distance is None else row.distance.measured for row in self.table.rows]
+        return np.column_stack((entries, distances))
 
     @cached_property
     def noise(self) -> Array | None:
         """Standard deviations of all entries, of measurement and prediction, ``(rows, n)``; None: unknown."""
         if self.table.noise is None:
             return None
-        found = self.table.noise.copy()
-        for own in (slice(-6, -3), slice(-3, None)):  # diag(T C T^T) with the variances C along the axes of A
-            found[:, own] = np.sqrt(np.einsum("nij,nj->ni", np.square(self.axes), np.square(found[:, own])))
+        noise = self.table.noise.copy()
+        for xyz in (slice(-6, -3), slice(-3, None)):  # diag(T C T^T) with the variances C along the axes of A
+            noise[:, xyz] = np.sqrt(np.einsum("nij,nj->ni", np.square(self.axes), np.square(noise[:, xyz])))
         if self.has_distances:
-            ways = [np.nan if row.distance is None else row.distance.noise or 0.0 for row in self.table.rows]
-            found = np.column_stack((found, np.array(ways, dtype=float)))
-        return np.hypot(found, self.noise_of_contacts)
+            distance_noise = [np.nan if row.distance is None else row.distance.noise or 0.0 for row in self.table.rows]
+            noise = np.column_stack((noise, np.array(distance_noise, dtype=float)))
+        return np.hypot(noise, self.noise_of_contacts)
 
     @cached_property
     def noise_of_contacts(self) -> Array:
@@ -144,11 +144,11 @@ class TableEntries:
         stated = np.array([row.contact_noise for row in self.table.rows])
         if not stated.any():
             return squares
-        here = self.predicted(self.impacts, worlds)
+        nominal = self.predicted(self.impacts, worlds)
         for along in range(5):  # three axes for the place, two tangents for the normal
             impacts = [_moved(row.impact, along, *row.contact_noise) for row in self.table.rows]
-            there = self.predicted(MeasuredImpacts(impacts, worlds), worlds)
-            squares += np.square(np.nan_to_num(there - here))
+            moved = self.predicted(MeasuredImpacts(impacts, worlds), worlds)
+            squares += np.square(np.nan_to_num(moved - nominal))
         return np.sqrt(squares)
 
     def predicted(
@@ -161,17 +161,17 @@ class TableEntries:
             worlds: Physics of each.
             rows: Their positions; None: all rows.
         """
-        places = range(len(self.table.rows)) if rows is None else rows
+        indices = range(len(self.table.rows)) if rows is None else rows
         velocity, _ = impacts.solve(worlds)
-        found = turned(velocity, self.axes[list(places)])
+        entries = turned(velocity, self.axes[list(indices)])
         if not self.has_distances:
-            return found
-        ways = []
-        for place, own, world in zip(places, velocity, worlds, strict=True):
-            distance = self.table.rows[place].distance
+            return entries
+        distances = []
+        for index, row_velocity, world in zip(indices, velocity, worlds, strict=True):
+            distance = self.table.rows[index].distance
             assert distance is not None
-            ways.append(distance.predicted(own[-6:-3], world))
-        return np.column_stack((found, ways))
+            distances.append(distance.predicted(row_velocity[-6:-3], world))
+        return np.column_stack((entries, distances))
 
     @cached_property
     def speed(self) -> float:
@@ -188,24 +188,24 @@ class TableEntries:
         )
 
     @cached_property
-    def worth(self) -> Array:
+    def energy_weights(self) -> Array:
         """sqrt(H_ii / m): velocity of the body with the energy of 1 rad/s or 1 m/s, ``(rows, n)`` [m, -]."""
         inertia = np.array([system.inertia for system in self.systems])
         half = np.swapaxes(_all_turned(inertia, self.axes), 1, 2)  # H T^T, then T H T^T, with T the axes
         diagonal = np.einsum("nii->ni", _all_turned(half, self.axes))
         masses = np.array([system.inertia[-6, -6] for system in self.systems])  # m, of a fixed object 1 kg
         worth = np.sqrt(diagonal / masses[:, None])
-        return np.column_stack((worth, 1.0 / self.lasting)) if self.has_distances else np.asarray(worth)
+        return np.column_stack((worth, 1.0 / self.distance_slopes)) if self.has_distances else np.asarray(worth)
 
     @cached_property
     def kinds(self) -> list[HitKind]:
         """Kind of the hit of every row."""
-        found: list[HitKind] = []
+        kinds: list[HitKind] = []
         for row, world in zip(self.table.rows, self.world_of, strict=True):
             impact, physics = row.impact, self.worlds[world]
             oblique = bool(impact.arms) and obliqueness_of(physics, impact.arms, impact.object) > MAX_SQUARE_ANGLE_RAD
-            found.append("oblique" if oblique else "square")
-        return found
+            kinds.append("oblique" if oblique else "square")
+        return kinds
 
     def discrepancy_of(self, row: int, world: Physics, speed: float) -> Array:
         """Discrepancy of the rigid map of all entries of a row, ``(n,)``.
@@ -216,8 +216,10 @@ class TableEntries:
             speed: Its closing speed [m/s].
         """
         velocities = self.signals[:-1] if self.has_distances else self.signals
-        found = self.map_discrepancy.of(velocities, world, speed, self.kinds[row])
-        return np.append(found, found[-6] * self.lasting[row]) if self.has_distances else found
+        discrepancy = self.map_discrepancy.of(velocities, world, speed, self.kinds[row])
+        return (
+            np.append(discrepancy, discrepancy[-6] * self.distance_slopes[row]) if self.has_distances else discrepancy
+        )
 
     @cached_property
     def discrepancy(self) -> Array:
@@ -239,20 +241,19 @@ def turned(velocity: Array, axes: Array) -> Array:
 def _all_turned(columns: Array, axes: Array) -> Array:
     """As :func:`turned`, of several columns at once, ``(rows, nv, k)``."""
     result = columns.copy()
-    for place in (-6, -3):
-        own = slice(place, place + 3 or None)
-        result[:, own] = axes @ columns[:, own]
+    for xyz in (slice(-6, -3), slice(-3, None)):
+        result[:, xyz] = axes @ columns[:, xyz]
     return result
 
 
-def _moved(impact: MeasuredImpact, along: int, place: float, normal: float) -> MeasuredImpact:
+def _moved(impact: MeasuredImpact, along: int, offset: float, tilt: float) -> MeasuredImpact:
     """An impact hit elsewhere along an axis of its contact frames, or with normals that are tilted.
 
     Args:
         impact: The impact; where there are arms, points on the support stay.
         along: 0 to 2: points along two tangents and the normal; 3 and 4: normals about the tangents.
-        place: By how much [m].
-        normal: By how much [rad].
+        offset: By how much [m].
+        tilt: By how much [rad].
     """
     points = []
     for point in impact.points:
@@ -260,9 +261,9 @@ def _moved(impact: MeasuredImpact, along: int, place: float, normal: float) -> M
         if impact.arms and point.partner == SUPPORT:
             points.append(point)
         elif along < len(frame):
-            points.append(replace(point, position=point.position + place * frame[along]))
+            points.append(replace(point, position=point.position + offset * frame[along]))
         else:
-            points.append(replace(point, normal=np.asarray(pin.exp3(normal * frame[along - 3]) @ point.normal)))
+            points.append(replace(point, normal=np.asarray(pin.exp3(tilt * frame[along - 3]) @ point.normal)))
     return replace(impact, points=tuple(points))
 
 

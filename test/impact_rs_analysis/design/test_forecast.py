@@ -69,7 +69,7 @@ def test_what_the_arm_cannot_do_is_no_proposal(forecast: Forecast) -> None:
 
 
 def test_a_speed_beyond_the_joints_and_a_force_beyond_the_cell_are_refused() -> None:
-    fast = [t for t in possible_trials(["excite"], Envelope(speed=3.0)) if t.own_case is not None]
+    fast = [t for t in possible_trials(["excite"], Envelope(speed=3.0)) if t.new_case is not None]
     assert fast
     with pytest.raises(InputError, match="within the limits.*(LIMIT|INFEASIBLE|DIVERGED|limit)"):
         forecast_of(load_model("nominal"), fast[:1], ReplayCache(map))

@@ -24,7 +24,7 @@ def test_no_trial_is_faster_than_the_scenario_or_the_envelope() -> None:
 
 def test_another_speed_keeps_pose_and_direction() -> None:
     trials = [trial for trial in possible_trials(["push"]) if trial.spec.case.endswith("mm_s")]
-    assert trials and all(trial.own_case is not None for trial in trials)
+    assert trials and all(trial.new_case is not None for trial in trials)
     for trial in trials:
         case = trial.spec.scenario.case(trial.spec.case)
         name = trial.spec.case.rsplit("_", 2)[0]

@@ -333,7 +333,7 @@ def test_features_without_a_discrepancy_differ_between_conditions() -> None:
     for kept in (None, clusters[0].patterns):  # simulators differ along no pattern, or along some
         here = [replace(item, discrepancy=own, patterns=kept) for item, own in zip(clusters, without, strict=True)]
         assert 0.01 < lack_of_fit(RotationNull(here)) <= 1.0
-    own = here[1].own_discrepancy
+    own = here[1].unshared_discrepancy
     assert np.flatnonzero(np.all(own[1:] == 0.0, axis=1)).tolist() == list(range(4, 60, 7))
 
 

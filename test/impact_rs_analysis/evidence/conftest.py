@@ -144,7 +144,7 @@ def assert_intervals(
     jacobian = np.array([(predicted(place, step) - predicted(place, -step)) / (2.0 * step) for place in places]).T
     rows = jacobian.shape[0] // len(noise)
     if repeats == 1:
-        weight = np.square(source.worth).ravel()
+        weight = np.square(source.energy_weights).ravel()
     else:
         weight = np.tile(1.0 / np.square(source.clusters[0].sigma), rows)
     variance = np.tile(np.square(noise) / repeats, rows)

@@ -117,7 +117,7 @@ def test_how_the_arm_is_made_changes_no_difference(folder: Path, mapping: Mappin
     source = source_of(folder, mapping)
     load = ("end_effector_payload", (MASS, PLACE["com_x"], PLACE["com_y"], PLACE["com_z"]))
     heavy = ("link_mass", (1.5, 0.7, 1.2))
-    np.testing.assert_allclose(source.rest_with((load, heavy)), source.rest_with((load,)), atol=1e-9)
+    np.testing.assert_allclose(source.residuals_by((load, heavy)), source.residuals_by((load,)), atol=1e-9)
 
 
 def test_friction_that_the_load_adds_to_one_joint_is_seen_beside_what_nothing_explains(
@@ -142,8 +142,8 @@ def test_without_the_reference_friction_and_links_hide_the_load(folder: Path, ma
     """The residual is many times as large, and the difference leaves noise beside the load."""
     alone, difference = source_of(folder, mapping, None), source_of(folder, mapping)
     added = (("end_effector_payload", (MASS, PLACE["com_x"], PLACE["com_y"], PLACE["com_z"])),)
-    assert np.all(alone.rest.std(axis=0) > 3.0 * difference.rest_with(added).std(axis=0))
-    assert np.all(np.abs(difference.rest_with(added).mean(axis=0)) < 0.02)  # N m; friction and offset are gone
+    assert np.all(alone.residuals.std(axis=0) > 3.0 * difference.residuals_by(added).std(axis=0))
+    assert np.all(np.abs(difference.residuals_by(added).mean(axis=0)) < 0.02)  # N m; friction and offset are gone
 
 
 def test_the_noise_of_both_recordings_counts(folder: Path, mapping: Mapping) -> None:

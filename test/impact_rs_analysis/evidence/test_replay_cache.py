@@ -47,7 +47,7 @@ class CountingMap:
 
 
 def test_a_replay_runs_once(setup: Setup) -> None:
-    tasks, rng = CountingMap(lambda task: rng.standard_normal(len(task.setup.kept))), np.random.default_rng(0)
+    tasks, rng = CountingMap(lambda task: rng.standard_normal(len(task.setup.used))), np.random.default_rng(0)
     task, store = Replay(setup, NOMINAL, (("restitution", (0.1,)),)), ReplayCache(tasks)
     first, second = store([task, task]), store([task])
     assert tasks.count == 2  # free motion and contact
@@ -64,7 +64,7 @@ def test_start_torque_and_object_count_to_the_last_bit(setup: Setup) -> None:
     )
     setups = [setup, *(replace(setup, windows=(window, *others)) for window in changed)]
     setups.append(replace(setup, drive_period=np.nextafter(setup.drive_period, more)))
-    tasks = CountingMap(lambda task: np.zeros(len(task.setup.kept)))
+    tasks = CountingMap(lambda task: np.zeros(len(task.setup.used)))
     ReplayCache(tasks)([Replay(one, NOMINAL) for one in setups])
     assert tasks.count == len(setups) + 2  # contact as well, at first and with another period
 
@@ -132,7 +132,7 @@ def test_a_replay_with_a_step_that_was_not_solved_is_passed_over_by_fits_and_ref
 def test_replays_travel_in_batches_of_one_run_and_come_back_in_order(setup: Setup) -> None:
     other = replace(setup, drive_period=0.5 * setup.drive_period)
     values = [0.001 * number for number in range(4 * MIN_BATCHES)]
-    tasks = CountingMap(lambda task: np.full(len(task.setup.kept), task.added[0][1][0]))
+    tasks = CountingMap(lambda task: np.full(len(task.setup.used), task.added[0][1][0]))
     asked = [Replay(one, NOMINAL, (("actuation_delay", (value,)),)) for value in values for one in (setup, other)]
     assert [float(item[0]) for item in ReplayCache(tasks)(asked)] == [value for value in values for _ in range(2)]
     assert all(len({task.setup.digest for task in batch}) == 1 for batch in tasks.batches)
@@ -171,7 +171,7 @@ def test_threads_simulate_at_the_same_time_and_make_features_in_turn(
         threading.Event().wait(0.02)
         most.append(len(making))
         making.pop()
-        return [np.zeros(len(own.kept)) for _ in simulations]
+        return [np.zeros(len(own.used)) for _ in simulations]
 
     monkeypatch.setattr(Setup, "replayed_all", simulated)
     monkeypatch.setattr(Setup, "features_of_all", features)

@@ -63,10 +63,10 @@ def rms(values: np.ndarray) -> float:
 def test_late_commands_of_a_servo_are_predicted_by_their_delay(tmp_path: Path) -> None:
     """kp d dq = 30 x 0.03 x 1.3 N m by the stamps. Kills a delay of the other sign and one that is filtered once."""
     source = source_of(tmp_path, servo_log(DELAY))
-    assert rms(source.rest) > 0.5
-    assert rms(source.rest_with((("actuation_delay", (DELAY,)),))) < 2e-3
-    assert rms(source.rest_with((("actuation_delay", (0.5 * DELAY,)),))) == pytest.approx(
-        0.5 * rms(source.rest), rel=0.1
+    assert rms(source.residuals) > 0.5
+    assert rms(source.residuals_by((("actuation_delay", (DELAY,)),))) < 2e-3
+    assert rms(source.residuals_by((("actuation_delay", (0.5 * DELAY,)),))) == pytest.approx(
+        0.5 * rms(source.residuals), rel=0.1
     )
 
 

@@ -167,8 +167,8 @@ def test_a_prediction_is_the_mixture_of_the_explanations(day: Day) -> None:
     follower = day([])
     one, other = copy.copy(follower.watch.likeliest), copy.copy(follower.watch.likeliest)
     other.posterior = other.posterior.copy()
-    other.point = follower.watch.hits.candidate.nominal.copy()
-    other.point[follower.watch.hits.candidate.part("object_mass")] = 1.5
+    other.point = follower.watch.hit_model.candidate.nominal.copy()
+    other.point[follower.watch.hit_model.candidate.part("object_mass")] = 1.5
     apart = []
     for shares in ((0.0, -50.0), (-50.0, 0.0), (0.0, 0.0)):
         one.log_weight, other.log_weight = shares
@@ -224,7 +224,7 @@ def test_hits_that_nothing_predicts_teach_nothing(tmp_path: Path, monkeypatch: p
     for _ in range(30):
         next(arriving)
     assert follower.watch is not None
-    calibration = follower.watch.hits.calibration
+    calibration = follower.watch.hit_model.calibration
     before = calibration.freedom, dict(calibration.squares)
     monkeypatch.setattr(follower.hit_source, "predict", lambda hit, added: [None] * len(added))
     assert all(document.error is None and document.change is None for document in arriving)
@@ -383,7 +383,7 @@ def test_an_explanation_that_predicts_nothing_is_ruled_out_by_one_that_does(
     seeing, blind = follower.watch.likeliest, copy.copy(follower.watch.likeliest)
     scale = 1.0 + 1e-9
     blind.point, blind.posterior = blind.point.copy(), blind.posterior.copy()
-    blind.point[follower.watch.hits.candidate.part("object_mass")] = scale
+    blind.point[follower.watch.hit_model.candidate.part("object_mass")] = scale
     seeing.log_weight, blind.log_weight = 0.0, -1.0
     follower.watch.hypotheses, predict = [seeing, blind], follower.hit_source.predict
 
@@ -427,7 +427,7 @@ def test_a_hit_raises_the_explanation_that_predicts_it(day: Day) -> None:
     other = copy.copy(follower.watch.likeliest)
     other.point, other.posterior = other.point.copy(), other.posterior.copy()
     other.recent, other.log_weight = copy.deepcopy(other.recent), -2.0
-    other.point[follower.watch.hits.candidate.part("object_mass")] = 1.5
+    other.point[follower.watch.hit_model.candidate.part("object_mass")] = 1.5
     follower.watch.hypotheses.append(other)
     follower.take([next(follower.hit_source.arrived())])
     assert follower.watch.likeliest is other and follower.watch.probabilities().max() > 0.95
@@ -615,9 +615,9 @@ def test_bags_are_read_when_they_are_due_and_what_was_not_measured_is_simulated(
 def test_the_next_hit_after_a_free_motion_is_one_with_an_impact(hidden_campaign: Path) -> None:
     follower = Follower(BagHitSource(hidden_campaign, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass"], learnt=4)
     found = list(follower.hit_source.arrived())
-    pushes = [hit for hit in found if hit.hits]
+    pushes = [hit for hit in found if hit.has_contact]
     assert len(pushes) == 4
-    for hit in [*pushes, *(hit for hit in found if not hit.hits)]:
+    for hit in [*pushes, *(hit for hit in found if not hit.has_contact)]:
         follower.take([hit])
     prediction = follower.prediction()
     assert prediction is not None and prediction.like == pushes[-1].name

@@ -17,7 +17,7 @@ def errors(residuals: Array, weights: Array | None = None) -> tuple[float, float
     recent, left = RecentResiduals(), []
     for residual, weight in zip(residuals, np.ones(len(residuals)) if weights is None else weights, strict=True):
         left.append(residual - recent.expected("a", residual.size))
-        recent.take("a", residual, weight)
+        recent.update("a", residual, weight)
     return tuple(float(np.sqrt(np.mean(np.square(one[10:])))) for one in (np.array(left), residuals))  # type: ignore[return-value]
 
 
@@ -51,19 +51,19 @@ def test_a_random_walk_is_followed_nearly_as_well_as_with_the_best_gain(seed: in
 def test_groups_are_apart_and_an_odd_hit_moves_nothing_far() -> None:
     recent = RecentResiduals()
     for _ in range(20):
-        recent.take("a", np.array([2.0]), 1.0)
+        recent.update("a", np.array([2.0]), 1.0)
     assert recent.expected("a", 1) == pytest.approx([2.0], abs=0.1)
     assert recent.expected("b", 1) == [0.0]
-    recent.take("a", np.array([50.0]), 0.01)
+    recent.update("a", np.array([50.0]), 0.01)
     assert recent.expected("a", 1) == pytest.approx([2.0], abs=0.3)
 
 
 def test_what_is_saved_goes_on_as_before() -> None:
     rng, one = np.random.default_rng(1), RecentResiduals()
     for residual in 1.0 + rng.standard_normal((30, 2)):
-        one.take("a", residual, 1.0)
+        one.update("a", residual, 1.0)
     other = RecentResiduals.restored(json.loads(json.dumps(one.saved())))
     for residual in 1.0 + rng.standard_normal((10, 2)):
         np.testing.assert_array_equal(one.expected("a", 2), other.expected("a", 2))
-        one.take("a", residual, 1.0)
-        other.take("a", residual, 1.0)
+        one.update("a", residual, 1.0)
+        other.update("a", residual, 1.0)

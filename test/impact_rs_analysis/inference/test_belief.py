@@ -55,7 +55,7 @@ def test_mean_covariance_and_prediction_are_those_of_a_conditional_normal_distri
     rest, blur = belief.predictive(new)
     np.testing.assert_allclose(rest, new.residual - observed @ mean, atol=1e-10)
     np.testing.assert_allclose(blur, np.eye(4) + observed @ covariance @ observed.T, atol=1e-10)
-    np.testing.assert_allclose(belief.rest(new), rest, atol=1e-12)
+    np.testing.assert_allclose(belief.residual_of(new), rest, atol=1e-12)
 
 
 def test_what_is_left_out_is_subtracted() -> None:

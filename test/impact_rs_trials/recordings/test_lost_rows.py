@@ -118,5 +118,5 @@ def test_a_model_is_not_blamed_for_lost_rows(with_velocity: bool, tmp_path: Path
     assert len(runs) == 2  # the long loss cuts
     assert any("rows were lost while" in remark and "t = 4.980 s (2)" in remark for remark in runs[0].remarks)
     source = RecordingSource.of(runs, mapping, Model(name="nominal"))
-    torques = source.rest[:, :3]
+    torques = source.residuals[:, :3]
     assert np.sqrt(np.mean(np.square(torques))) < 0.02
