@@ -35,11 +35,11 @@ Decide = Callable[[Source], Decision]
 
 
 def missing_effect(names: Sequence[str] = (), whether_any: bool = False) -> Decide:
-    """The decision which effect is missing, of all that a model lacks and that trials show.
+    """The decision which effect is missing, among the effects that a model lacks and that trials show.
 
     Args:
-        names: Those that come into question; none: the library and the formulas of the model.
-        whether_any: Decide whether one of them is missing, no matter which.
+        names: Effects to consider; empty: the library and the formulas of the model.
+        whether_any: Decide whether any effect is missing, no matter which.
     """
 
     def decide(source: Source) -> Decision:
@@ -80,7 +80,7 @@ def design(
         budget: Largest number of trials.
         map_tasks: Parallel map.
         decide: Decision to be made, from a source with the model and all physics.
-        runs: Trials measured so far; their scatter counts, and their information.
+        runs: Trials measured so far, for their scatter and information.
         method: How trials are chosen.
         envelope: Envelope of the cell.
         seed: Seed of the planned trials, and of a random choice. Another plan for the same folder needs another seed.
@@ -137,7 +137,7 @@ def planned(
 
 
 def _unseen(decision: Decision, trials: Sequence[ForecastTrial]) -> set[int]:
-    """Indices of the explanations without estimates that change no feature of any trial, as a drift over weeks."""
+    """Indices of explanations without estimates that change no feature of any trial, for example a drift over weeks."""
     return {
         number
         for number, explanation in enumerate(decision.explanations)
@@ -148,12 +148,12 @@ def _unseen(decision: Decision, trials: Sequence[ForecastTrial]) -> set[int]:
 
 
 def _pairs(decision: Decision, before: Array, after: Array) -> list[PlannedPair]:
-    """Probabilities that the next diagnosis distinguishes them, least certain first."""
+    """Pairs with the probability that the next diagnosis distinguishes them, least certain first."""
     rows = [
         PlannedPair(
             first=decision.explanations[i].name,
             second=decision.explanations[j].name,
-            before=float(f"{was:.4g}"),  # small ones as well: what all trials would give is computed from them
+            before=float(f"{was:.4g}"),  # small ones, too: the report extrapolates from them to all trials
             after=float(f"{now:.4g}"),
         )
         for (i, j), was, now in zip(decision.pairs, before, after, strict=True)

@@ -12,18 +12,18 @@ are its observations. The expected squared (Mahalanobis) distance of two explana
 
     g_ij = (m_i - m_j)^T V_ij^-1 (m_i - m_j),    V_ij = var(e) + P^T P + S_i^T S_i + S_j^T S_j
 
-where one is estimated (Box and Hill 1967, *Discrimination among mechanistic models*, whose criterion weighs a
-difference of predictions by their variances), and, where neither is, what the best fit of j leaves of a noticeable
-change of one parameter k of i (Atkinson and Fedorov 1975, *The design of experiments for discriminating between two
-rival models*: T-optimality, the rival fitted anew),
+where at least one is estimated (Box and Hill 1967, *Discrimination among mechanistic models*, whose criterion weighs a
+difference of predictions by their variances). Where neither is estimated, it is the squared residual that the best fit
+of j leaves of a noticeable change of one parameter k of i (Atkinson and Fedorov 1975, *The design of experiments for
+discriminating between two rival models*: T-optimality, the rival is fitted anew),
 
     g_ijk = S_ik^T V_j^-1 S_ik,    V_j = var(e) + P^T P + w^2 S_j^T S_j
 
-with a range of w scales for the rival's parameters. Of a pair without estimates the probability
-(:func:`impact_rs_analysis.inference.ahead.probability`) is the mean over the parameters, in the direction in which
-that is less; the degrees of freedom of the scatter are the sum of n - 1 over conditions. For parameters the gain is
-their information, log det(1 + S V^-1 S^T) / 2 (D-optimality; Lindley 1956, *On a measure of the information provided by
-an experiment*).
+with a range of w scales for the rival's parameters. A pair without estimates has the mean probability
+(:func:`impact_rs_analysis.inference.ahead.probability`) over the parameters, in the direction in which this mean is
+smaller. The degrees of freedom of the scatter are the sum of n - 1 over conditions. For parameters the gain is their
+information, log det(1 + S V^-1 S^T) / 2 (D-optimality; Lindley 1956, *On a measure of the information provided by an
+experiment*).
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Discrimination:
 
     @cached_property
     def counted(self) -> dict[str, int]:
-        """Repeats before the plan whose information is not yet in estimates; all where there are none."""
+        """Repeats before the plan whose information no estimate contains yet; all of them if nothing is estimated."""
         return self.measured if self.decision.aim == "effects" else {}
 
     def with_more(self, picked: Mapping[str, int]) -> dict[str, int]:
@@ -134,9 +134,9 @@ class Discrimination:
     def utility(self, total: Belief, freedom: float = np.inf) -> float:
         """Utility that the choice of trials maximises; monotone in the trials.
 
-        The mean over the pairs of the probability that the next diagnosis distinguishes them, and to a small part the
-        mean of log(1 + g), which chooses between trials where everything is decided, or nothing; for parameters their
-        information.
+        For parameters their information. For pairs of explanations the mean probability that the next diagnosis
+        distinguishes them, plus ``TIE_BREAK_WEIGHT`` times the mean of log(1 + g), which chooses between trials where
+        every pair is decided, or no pair.
 
         Args:
             total: Information of the trials.

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Explanations (rival hypotheses) that a plan shall distinguish, with their parameter uncertainty.
 
-    centre      effects added to the model, at their estimates; none: the model as it is
-    varied      the same with one parameter a standard deviation off, one entry per parameter
+    centre      effects added to the model, at their estimates; empty: the unchanged model
+    varied      the centre with one parameter a standard deviation off, one entry per parameter
 
-Of an effect without an estimate the centre is the model as it is, and a standard deviation is the parameter's
-scale, a noticeable change: what is hidden may be there or not, to either side.
+An effect without an estimate has the unchanged model as centre, and the parameter's scale (a noticeable change) as
+standard deviation: a hidden effect may be absent, or of either sign.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Explanation:
     Attributes:
         name: Its name.
         centre: Effects added to the model at their estimates.
-        varied: The same with one parameter a standard deviation off.
+        varied: The centre with one parameter a standard deviation off, by parameter.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Decision:
         aim: ``rivals``: which of the estimated explanations is right; ``effects``: which effect is missing, if any;
             ``parameters``: how large the effects of the only explanation are.
         explanations: The explanations.
-        pairs: Numbers of those that are to be distinguished; none for parameters.
+        pairs: Indices of the explanations to be distinguished; empty for parameters.
     """
 
     aim: Aim
@@ -85,9 +85,9 @@ def which_effect(
 
     Args:
         effects: The effects, with ranges for a robot of this size.
-        joints: Those of an arm.
+        joints: Joints of an arm.
         worlds: Physics under the model, for bounds.
-        whether_any: Each against the model as it is alone, to see whether any is missing, no matter which.
+        whether_any: Compare every effect with the unchanged model only: is any effect missing, no matter which?
 
     Raises:
         InputError: There is no effect to look for.

@@ -2,8 +2,8 @@
 """Forecast: simulated candidate trials, their scatter, and their features under every explanation.
 
 A trial is simulated once in closed loop with the model and judged as a measured one: it is rejected if it exceeds a
-limit of joints or torques, misses, or tips over. Its replays under the explanations are the features of a diagnosis.
-The scatter is that of the trials measured so far, else of trials simulated with the scenario's noise.
+limit of joints or torques, misses, or tips over. Its replays under the explanations give the features of a diagnosis.
+The scatter is taken from the trials measured so far, else from trials simulated with the scenario's noise.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ForecastTrial:
         trial: How to run it; None: a condition that was measured and cannot be planned again.
         cluster: Scale, scatter and discrepancy of its features.
         centres: Change of the features by each explanation's centre, scaled, ``(h, F)`` [-].
-        spreads: The same by one standard deviation of each parameter, ``(p, F)`` by explanation [-].
+        spreads: Change of the features by one standard deviation of each parameter, ``(p, F)`` by explanation [-].
         repeats: Number of repeats measured.
     """
 
@@ -61,7 +61,7 @@ class Forecast:
     """Simulated trials, ready for predictions.
 
     Attributes:
-        source: Possible and measured trials as if all were measured.
+        source: Possible and measured trials, all in the form of measurements.
         trials: Possible trials by condition.
         repeats: How often a condition was measured.
         refused: Trials beyond limits, with the reason.
@@ -137,7 +137,7 @@ def forecast_of(
         trials: The possible trials.
         store: Makes replays, and spreads simulations.
         envelope: Envelope of the cell.
-        runs: Trials measured so far; their scatter counts, and their information.
+        runs: Trials measured so far, for their scatter and information.
         seed: Seed of the simulated scatter.
 
     Raises:
@@ -219,7 +219,7 @@ def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
 
 
 def _noisy(simulated: Sequence[MeasuredRun], repeated: Sequence[MeasuredRun]) -> list[TrialSpec]:
-    """Trials whose scatter is simulated: some of each family of which no repeat was measured."""
+    """Trials whose scatter is simulated: some of each family without measured repeats."""
     measured_families = {run.family for run in repeated}
     groups: dict[tuple[object, ...], list[TrialSpec]] = {}
     for run in simulated:

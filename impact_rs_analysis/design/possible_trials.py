@@ -29,10 +29,10 @@ MAX_APPROACH_ANGLE_RAD = np.radians(45.0)  # from the normal
 
 @dataclass(frozen=True)
 class Envelope:
-    """Limits of the cell, in addition to those of the robot facts.
+    """Limits of the cell, in addition to the limits of the robot.
 
     Attributes:
-        speed: Largest approach speed [m/s]; None: that of the fastest case of each scenario.
+        speed: Largest approach speed [m/s]; None: the speed of the fastest case of each scenario.
         force: Largest mean contact force over some milliseconds [N]; None: any.
         cell: Trials allowed on a real cell; None: every trial that can be planned.
     """
@@ -64,7 +64,7 @@ class PossibleTrial:
     Attributes:
         scenario: Name or path of the scenario file.
         settings: Settings of the variant that replace values of the file, without the case.
-        new_case: The case if it is not in the file.
+        new_case: The case; None: the scenario file has it.
         spec: The trial.
         what: The trial in words.
     """
@@ -82,7 +82,7 @@ class PossibleTrial:
 
     @property
     def of_file(self) -> bool:
-        """Whether the scenario file has it as it stands."""
+        """Whether the scenario file has this trial."""
         return not self.settings and self.new_case is None
 
 
@@ -190,7 +190,7 @@ def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
 
 
 def _side(scenario: Scenario) -> Array | None:
-    """Horizontal direction along the pad of a single arm that hits an object, ``(3,)``; None where it has none."""
+    """Horizontal unit vector along the pad of a single arm that hits an object, ``(3,)``; None: there is no such."""
     if len(scenario.robots) > 1 or scenario.excursion is not None or scenario.friction_compensation is not None:
         return None
     name, robot = next(iter(scenario.robots.items()))
@@ -277,7 +277,7 @@ def _speed(case: Case) -> float:
 
 
 def _pose(case: Case) -> str:
-    """Key of the cases that differ in speed alone."""
+    """Key that cases share if they differ only in speed."""
     speed = _speed(case) or 1.0
     return repr(
         [
@@ -308,5 +308,5 @@ def _at_speed(case: Case, factor: float) -> Case:
 
 
 def _rounded(values: np.ndarray) -> list[float]:
-    """To a tenth of a millimetre and less, so that files stay readable."""
+    """Values rounded to five decimals, so that files stay readable."""
     return [round(float(value), 5) + 0.0 for value in values]

@@ -3,9 +3,9 @@
 
 Greedy: the next choice is the one with the largest gain of utility per trial. A condition that was not measured costs
 two trials at first, because without a repeat it has no scatter of its own. The first conditions of a campaign are
-distinct, because a diagnosis holds conditions out. Between rivals it compares their errors from condition to condition,
-and a condition is one however often it is repeated: a new one is taken where it gains half as much as the best repeat.
-More budget never informs less.
+distinct, because a diagnosis holds conditions out. Between rivals a diagnosis compares errors by condition, and repeats
+add no condition: a new condition is taken if it gains at least half as much as the best repeat. More budget never
+informs less.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def chosen(
     Args:
         method: How they are chosen.
         counts: Information of the trials.
-        trials: Those that can be planned.
+        trials: Trials that can be planned.
         budget: Largest number.
         seed: Seed of a random choice.
 
@@ -78,6 +78,7 @@ def missing_conditions(budget: int, measured: int) -> int:
 
 
 def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int, missing: int) -> Counts:
+    """Repeats by condition, each choice with the largest gain of utility per trial."""
     names = [trial.name for trial in trials]
     measured = counts.measured
     picked: Counts = {}
@@ -105,7 +106,7 @@ def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int
 
 
 def _largest(gains: Sequence[tuple[float, str, int]]) -> tuple[float, str, int]:
-    """The first choice with the largest gain, but for rounding."""
+    """The first choice with the largest gain, up to rounding."""
     most = max(gain for gain, _, _ in gains)
     return next(option for option in gains if option[0] >= most - 1e-9 * abs(most))
 
@@ -150,11 +151,11 @@ def _fixed(trials: Sequence[ForecastTrial], measured: Mapping[str, int], budget:
 
 
 def most_informative(counts: Discrimination, trials: Sequence[ForecastTrial]) -> tuple[ForecastTrial, float] | None:
-    """The one further trial with the largest gain in squared distance between two estimated explanations.
+    """The single further trial with the largest gain in squared distance between two estimated explanations.
 
     Args:
         counts: Information of the trials about the only pair of a decision.
-        trials: Those to choose from.
+        trials: Trials to choose from.
 
     Returns:
         The trial and its gain [-]; None without trials.

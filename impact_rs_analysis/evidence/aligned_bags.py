@@ -40,12 +40,12 @@ def write_aligned(track: Track, condition: str, directory: Path) -> Path:
     """Write one aligned mcap: ``/measured/...``, ``/predicted/...`` and ``/residual/...`` in standard messages.
 
     Per arm ``joint_states`` (JointState), ``end_effector/twist`` (TwistStamped) and ``end_effector/pose``
-    (PoseStamped); ``object/pose`` (PoseStamped). Residuals are measured minus predicted; that of a pose is the
-    difference of positions and the rotation from the predicted to the measured orientation. Before the impact the pose
-    of the object is the mean of what was tracked, on both sides.
+    (PoseStamped); ``object/pose`` (PoseStamped). Residuals are measured minus predicted; the residual of a pose is the
+    difference of positions and the rotation from the predicted to the measured orientation. In windows before the
+    impact the object has the median of its last tracked poses, on both sides.
 
     Args:
-        track: A run beside its replay.
+        track: A run and its replay.
         condition: Its condition, which names the bag.
         directory: Folder of the bag.
 
@@ -91,7 +91,7 @@ def _write(writer: Writer, track: Track) -> None:
         x, y, z, *turned = row.tolist()
         return types[topics.POSE](header=head, pose=pose(position=point(x, y, z), orientation=quaternion(*turned)))
 
-    for name_of_side, side in sides.items():
+    for side_name, side in sides.items():
         for k, moment in enumerate(track.time):
             nanoseconds = round(float(moment) * 1e9)
             head = header(stamp=stamp(*divmod(nanoseconds, 1_000_000_000)), frame_id="world")
@@ -103,17 +103,17 @@ def _write(writer: Writer, track: Track) -> None:
                     velocity=arm.velocity[k],
                     effort=arm.torque[k],
                 )
-                rows.append((nanoseconds, f"/{name_of_side}/{name}/joint_states", message, topics.JOINT_STATE))
+                rows.append((nanoseconds, f"/{side_name}/{name}/joint_states", message, topics.JOINT_STATE))
                 values = arm.twist[k].tolist()
                 moving = types[topics.TWIST](
                     header=head, twist=twist(linear=vector(*values[:3]), angular=vector(*values[3:]))
                 )
-                rows.append((nanoseconds, f"/{name_of_side}/{name}/end_effector/twist", moving, topics.TWIST))
+                rows.append((nanoseconds, f"/{side_name}/{name}/end_effector/twist", moving, topics.TWIST))
                 placed = pose_of(head, arm.pose[k])
-                rows.append((nanoseconds, f"/{name_of_side}/{name}/end_effector/pose", placed, topics.POSE))
+                rows.append((nanoseconds, f"/{side_name}/{name}/end_effector/pose", placed, topics.POSE))
             for name, poses in side.poses.items():
                 if np.isfinite(poses[k]).all():
-                    rows.append((nanoseconds, f"/{name_of_side}/{name}/pose", pose_of(head, poses[k]), topics.POSE))
+                    rows.append((nanoseconds, f"/{side_name}/{name}/pose", pose_of(head, poses[k]), topics.POSE))
     connections: dict[str, Any] = {}
     for nanoseconds, topic, message, kind in sorted(rows, key=lambda row: row[0]):
         if topic not in connections:
@@ -133,8 +133,10 @@ def _residual(measured: TrackSide, predicted: TrackSide) -> TrackSide:
             pose=_pose_difference(a.pose, b.pose),
             twist=a.twist - b.twist,
         )
-    beside = {name: _pose_difference(pose, predicted.neighbours[name]) for name, pose in measured.neighbours.items()}
-    return TrackSide(arms, _pose_difference(measured.object, predicted.object), neighbours=beside)
+    neighbours = {
+        name: _pose_difference(pose, predicted.neighbours[name]) for name, pose in measured.neighbours.items()
+    }
+    return TrackSide(arms, _pose_difference(measured.object, predicted.object), neighbours=neighbours)
 
 
 def _pose_difference(measured: Array, predicted: Array) -> Array:

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration of a laboratory: faults of its readings, in a file beside its measurements.
+"""Calibration of a laboratory: faults of its readings, in a file in the folder of its measurements.
 
 A calibration has the schema of a model file, and holds effects of the measurement alone. It stays with the data. A
 model holds the physics, so that another laboratory can use it. Measurements are predicted with both: readings =
 g(motion of the model; calibration). In a difference of recordings their common faults cancel.
 
-An interval of a calibration is that of a normal distribution. Its deviation is common to all measurements (a systematic
-error; JCGM 100:2008, 5.2), so the residuals of all clusters are correlated: they change by J_k s_k for one standard
-deviation s_k of parameter k, with the sensitivity J_k. These are rows of :attr:`Cluster.calibrations`.
+Intervals of a calibration are 95 % intervals of normal distributions. The error of a parameter is common to all
+measurements (a systematic error; JCGM 100:2008, 5.2), so the residuals of all clusters are correlated: they change by
+J_k s_k for one standard deviation s_k of parameter k, with the sensitivity J_k. These changes are rows of
+:attr:`Cluster.calibrations`.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class LaboratoryCalibration:
 
     Attributes:
         faults: Effects of the measurement.
-        file: Its file, which need not exist; None: there is none.
+        file: Its file, which need not exist; None: no file.
     """
 
     faults: Model = NO_FAULTS
@@ -61,8 +62,8 @@ class LaboratoryCalibration:
         for number, item in enumerate(self.faults.effects):
             if item.name in {effect.name for effect in model.effects}:
                 raise InputError(
-                    f"model {model.name!r} has {item.name} as well, so it would count twice; remove it from one of the "
-                    "two files",
+                    f"model {model.name!r} has {item.name} as well, so it would be applied twice; remove it from one "
+                    "of the two files",
                     file=self.file,
                     key=f"effects.{number}.name",
                 )
@@ -104,7 +105,7 @@ def calibration_of(data: Path, file: str | Path | None = None) -> LaboratoryCali
 
     Args:
         data: Folder of the measurements, or one of its files.
-        file: File to be read in place of the one beside the data; ``nominal`` has no effects.
+        file: File to read in place of the default one; ``nominal`` has no effects.
 
     Raises:
         InputError: The file given is missing; it is no model file; it has an effect of the physics.
@@ -142,8 +143,8 @@ def check_faults(model: Model, file: str | Path) -> Model:
     for number, item in enumerate(model.effects):
         if not model.effect_of(item).of_measurement:
             raise InputError(
-                f"{item.name} is an effect of the physics, and a calibration has those of the measurement alone: move "
-                "it to the model file (--model)",
+                f"{item.name} is an effect of the physics, and a calibration has effects of the measurement alone: "
+                "move it to the model file (--model)",
                 file=file,
                 key=f"effects.{number}.name",
             )
@@ -178,7 +179,10 @@ def _moved(change: Array | None, sigma: Array) -> Array:
 
 
 def _deviations(source: Source) -> list[Added]:
-    """One standard deviation of every parameter of a fault that has an interval, as an effect on top of the model."""
+    """One standard deviation of every parameter with an interval, as an effect added to the model.
+
+    Parameters of faults of the readings, and of the required effect (:attr:`Source.required`).
+    """
     deviations: list[Added] = []
     declared = source.declared_model.effects
     for item in source.model.effects:

@@ -15,7 +15,8 @@ Sizes of residuals are multiples of repeatability:
 
     size^2 = sum_f r_f^2 / sum_f (s_f^2 / n + d_f^2) / sigma_f^2
 
-with r_f the mean residual of n repeats. Without repeats the size is that of the scaled residuals.
+with r_f the mean residual of n repeats. Without repeats and discrepancy the denominator is 1 per feature: the size is
+the root mean square of the scaled residuals.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Feature:
         index: Joint (``joint1``) or axis (``x``), with the arm's name in front where there are several.
         bin: Number of the time bin within the phase.
         unit: Unit.
-        relevance_limit: Smallest difference that matters in practice, in the unit; 0: none is set.
+        relevance_limit: Smallest difference that matters in practice, in the unit; 0: not set.
         arm: Name of the arm; empty for signals without an arm, and with a single arm.
     """
 
@@ -86,12 +87,13 @@ class Cluster:
         sigma: Scale of each feature in its own unit, ``(F,)``.
         pure_error: Pure error of each feature over its scale, ``(F,)`` [-].
         discrepancy: Model discrepancy of each feature over its scale, ``(F,)`` [-].
-        patterns: Patterns of the discrepancy, ``(k, F)`` [-]: it is a sum of these rows with standard normal
-            amplitudes; column sums of squares equal those of ``discrepancy``. None: features are independent.
-        discrepancy_key: Clusters with one key share the amplitudes of the patterns; None: those of one layout do.
+        patterns: Patterns of the discrepancy, ``(k, F)`` [-]: the discrepancy is a sum of these rows with standard
+            normal amplitudes; the squares of a column add up to the square of ``discrepancy``. None: features are
+            independent.
+        discrepancy_key: Clusters with one key share the amplitudes of the patterns; None: clusters of one layout do.
         calibrations: Systematic errors that all clusters share (clock of the commands, scale of a joint's torque):
             change of the residuals by one standard deviation of each, ``(k, F)`` [-]; None: all are exact.
-        timestamps: When each repeat was measured, in any unit, ``(n,)``; None: not known.
+        timestamps: Time of each repeat, in any unit, ``(n,)``; None: not known.
     """
 
     name: str
@@ -116,14 +118,14 @@ class Cluster:
 
     @property
     def discrepancy_group(self) -> str:
-        """Clusters of one group share the amplitudes of the discrepancy: of one ``discrepancy_key``, or layout."""
+        """Key of clusters that share the amplitudes of the discrepancy: ``discrepancy_key``, or the layout."""
         return self.layout if self.discrepancy_key is None else self.discrepancy_key
 
     @cached_property
     def discrepancy_factor(self) -> Array:
         """Factor L of the discrepancy covariance L^T L: its patterns, or one row per feature, ``(k, F)`` [-].
 
-        Clusters of a group share amplitudes, row by row, so every feature has its row, with or without a discrepancy.
+        Clusters of a group share amplitudes, row by row, so features without a discrepancy have a row of zeros.
         """
         return np.diag(self.discrepancy) if self.patterns is None else self.patterns
 
@@ -178,7 +180,7 @@ class Cluster:
 
     @property
     def limit_squares(self) -> Array:
-        """Squares of half the relevance limits over the scales: 1 minus noise and discrepancy, ``(F,)`` [-]."""
+        """(l_f / 2)^2 / sigma_f^2, the share of the relevance limits in the squared scales, ``(F,)`` [-]."""
         return np.asarray(np.maximum(1.0 - np.square(self.pure_error) - np.square(self.discrepancy), 0.0))
 
     @property

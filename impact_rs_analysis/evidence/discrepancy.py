@@ -7,8 +7,8 @@ phase, signal and index, with its provenance (made by ``tools/discrepancy.py``),
 ``config/discrepancy_patterns.csv`` its patterns over the features.
 
 Square and oblique hits have separate values. On oblique hits (pad and face not parallel, or velocity not along the
-normal) contact friction matters, and simulators regularise it differently. Their differences are the same in all
-conditions on square hits, and vary with the condition on oblique ones.
+normal) contact friction matters, and simulators regularise it differently. On square hits the differences of simulators
+are common to all conditions, on oblique hits they vary with the condition.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ class DiscrepancyEntry(Schema):
     unit: str = Field(description="unit of the signal")
     value: float = Field(ge=0.0, description="rms of variant minus replay over conditions and time bins, in the unit")
     largest: str = Field("", description="variant with the largest difference, from which value and by_bin are taken")
-    by_bin: tuple[float, ...] = Field((), description="the same, bin by bin")
+    by_bin: tuple[float, ...] = Field((), description="rms by time bin, in the unit")
     by_variant: dict[str, float] = Field({}, description="rms of every variant")
     shared_over_conditions: float | None = Field(None, description="share of the square common to all conditions [-]")
     shared_over_bins: float | None = Field(None, description="share of the square common to all bins [-]")
 
     def of_bin(self, number: int) -> float:
-        """Discrepancy of one time bin, in the unit: rms of the signal's and of the bin's value."""
+        """Discrepancy of one time bin, in the unit: root mean square of the values of signal and bin."""
         bin_value = self.by_bin[number] if number < len(self.by_bin) else self.value
         return float(np.sqrt(0.5 * (self.value**2 + bin_value**2)))
 
@@ -87,13 +87,13 @@ class Discrepancy(Schema):
     provenance: Provenance | None = Field(description="how it was measured; null: switched off")
     variants: dict[str, str] = Field(description="variants of the simulation, a sentence each")
     entries: tuple[DiscrepancyEntry, ...] = Field(description="discrepancy of every signal")
-    patterns: tuple[Patterns, ...] = Field((), description="from the table beside the file")
+    patterns: tuple[Patterns, ...] = Field((), description="from discrepancy_patterns.csv")
 
     def of(self, features: Sequence[Feature], kind: Kind) -> Array:
         """Discrepancy of features in their units, ``(F,)``; 0 where it was not measured.
 
         Args:
-            features: The features; each of several arms has the discrepancy of one arm.
+            features: The features; every arm has the discrepancy of a single arm.
             kind: Kind of their runs.
         """
         entries = {(e.phase, e.signal, e.index): e for e in self.entries if e.kind == kind}
@@ -104,9 +104,9 @@ class Discrepancy(Schema):
         return np.array(values)
 
     def patterns_of(self, features: Sequence[Feature], kind: Kind) -> Array | None:
-        """Patterns of the discrepancy over features, ``(k, F)`` in their units; None if there are none.
+        """Patterns of the discrepancy over features, ``(k, F)`` in their units; None: no patterns of this kind.
 
-        The squares of a column add up to the square of :meth:`of`. A feature in no pattern is independent.
+        The squares of a column add up to the square of :meth:`of`. A feature without a pattern is independent.
         """
         table = next((table for table in self.patterns if table.kind == kind), None)
         if table is None:

@@ -166,8 +166,8 @@ def expected_of(item: Cluster, by_limit: bool = False) -> Array:
 def relevant_of(item: Cluster, by_limit: bool = False) -> Array:
     """The larger of :func:`expected_of` and the relevance limit, over the scale of each feature, ``(F,)`` [-].
 
-    A residual below it is noise or irrelevant. Repeatability alone would exaggerate the residuals of simulated trials,
-    which repeat to the last digit.
+    A smaller residual is noise or irrelevant. Repeatability alone would exaggerate the residuals of simulated trials,
+    which repeat exactly.
 
     Args:
         item: The cluster.
@@ -183,7 +183,7 @@ def level_of(what: str, clusters: Sequence[Cluster], phases: tuple[str, ...], by
     Args:
         what: Compared quantity, in words.
         clusters: The conditions.
-        phases: Phases of the signals; none: all.
+        phases: Phases of the signals; empty: all.
         by_limit: Whether differences are multiples of the relevance limit, because nothing was repeated.
     """
     signals, ratios = signal_levels(clusters, phases, by_limit=by_limit)
@@ -197,8 +197,8 @@ def signal_levels(
 
     Args:
         clusters: The conditions.
-        phases: Phases of the signals; none: all.
-        by_joint: Whether to list joint by joint; signals of no joint are then left out.
+        phases: Phases of the signals; empty: all.
+        by_joint: Whether to list joint by joint; other signals are then left out.
         by_limit: Whether differences are multiples of the relevance limit, because nothing was repeated.
     """
     several = len({feature.arm for item in clusters for feature in item.features if feature.arm}) > 1
@@ -318,5 +318,5 @@ def root_mean_square(values: Sequence[float] | Array) -> float:
 
 
 def rounded(value: float) -> float:
-    """Rounded to nine digits, more than any sensor resolves."""
+    """Value with nine significant digits, more than any sensor resolves."""
     return float(f"{value:.9g}")

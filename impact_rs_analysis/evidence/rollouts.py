@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rollouts: how far a model's prediction of a motion goes astray, from measured states under the recorded torque.
+"""Rollouts: growth of the error of a model's prediction, from measured states under the recorded torque.
 
-From many moments of a measured motion the model is integrated in open loop, without a controller that pulls it back
-(:mod:`impact_rs_sim.forward_dynamics`). The error after a horizon is predicted minus measured, of the joints and of the
-pose of frame E. Stretches with contact are left out.
+From many moments of a measured motion the model is integrated in open loop, without feedback
+(:mod:`impact_rs_sim.forward_dynamics`). The error after a horizon is predicted minus measured: positions of the joints
+and pose of frame E. Stretches with contact are left out.
 
 A constant error dtau of the torque, too small to change the pose noticeably, gives
 
     dq(t) = (M + B)^-1 dtau t^2 / 2
 
-so in open loop the error of a torque grows with the square of the time, that of the start's velocity linearly, and
-that of an unstable motion exponentially. With the same formula every error of a position is given as a constant
-torque, beside the residuals of the torque balance; in closed loop that torque is K_p dq.
+so in open loop a torque error grows with the square of time, an error of the initial velocity linearly, and the error
+of an unstable motion exponentially. By this formula every position error is also given as the equivalent constant
+torque, comparable with the residuals of the torque balance; in closed loop that torque is K_p dq.
 
-Where position servos drive the joints and their targets were recorded, a rollout is one in closed loop: the servos of
-the model follow the targets, and its error settles instead of growing.
+Where position servos drive the joints and their targets were recorded, rollouts are in closed loop: the servos of the
+model follow the targets, and the error settles instead of growing.
 
 Sensor models are applied once: their inverse corrects the start and the torque, and the predicted positions pass them
 forward (:mod:`impact_rs_sim.readings`).
@@ -78,9 +78,9 @@ class FreeMotion:
         with_motor: Whether it accelerates the inertia of the motors.
         with_drive: Whether friction, gain and offset of the drives act on it.
         age: Time since the first run of the campaign [s].
-        servo: Servos that drive it in closed loop, in place of a torque; None: there are none.
+        servo: Servos that drive it in closed loop, in place of a torque; None: open loop.
         q_desired: Their targets at ``torque_time``, ``(m, n)`` [rad]; empty without servos.
-        dq_desired: Velocities of these, ``(m, n)`` [rad/s].
+        dq_desired: Velocities of the targets, ``(m, n)`` [rad/s].
     """
 
     arm: str
@@ -155,7 +155,7 @@ class FreeMotion:
 
 
 def _command_delay(arm: ArmPhysics) -> float:
-    """From the stamp of a command until it acts [s]."""
+    """Time from the stamp of a command until it acts [s]."""
     return arm.readings.command_delay + arm.actuation_delay
 
 
@@ -168,9 +168,9 @@ class RolledOut:
         kinds: Types of its joints.
         joints: Readings of the joints, ``(T, S, n)`` [rad].
         torque: Constant torque that gives this error, ``(T, S, n)`` [N m].
-        tool: Distance of frame E from where it was, ``(T, S)`` [m].
-        turned: Angle of its rotation, ``(T, S)`` [rad].
-        apart: Whether a rollout overlaps no other one of them, ``(S,)``.
+        tool: Distance of frame E from its measured position, ``(T, S)`` [m].
+        turned: Angle between predicted and measured orientation of E, ``(T, S)`` [rad].
+        apart: Mask of a set of rollouts that do not overlap, ``(S,)``.
         closed: Whether servos close the loop.
     """
 
@@ -273,7 +273,7 @@ class RolloutDocument(Schema):
 
     @property
     def diverged_in_words(self) -> str:
-        """How many are in no error, and which horizon none reaches; empty: all reach all."""
+        """Number of diverged rollouts, and the horizon that no rollout reaches; empty: all reach all horizons."""
         diverged = f"{self.diverged} of {self.starts} have {DIVERGED} and are left out" if self.diverged else ""
         after = f"after {self.all_diverged_after_s:g} s all have {DIVERGED}" if self.all_diverged_after_s else ""
         return "; ".join(filter(None, [diverged, after]))
@@ -300,7 +300,7 @@ class Rollouts:
 
     @property
     def tool(self) -> Array:
-        """Distance of frame E from where it was, ``(T, S)`` [m]."""
+        """Distance of frame E from its measured position, ``(T, S)`` [m]."""
         return np.concatenate([part.tool for part in self.parts], axis=1)
 
     def document(self) -> RolloutDocument:
@@ -332,7 +332,7 @@ class Rollouts:
 
     @property
     def _joint_growth(self) -> Array:
-        """Mean over the joints of the logarithm of their errors, rms over starts, ``(T,)``: free of their units."""
+        """Mean over the joints of the logarithm of their rms errors over starts, ``(T,)``; units shift it only."""
         curves = []
         for arm in dict.fromkeys(part.arm for part in self.parts):
             errors = np.concatenate([part.joints for part in self.parts if part.arm == arm], axis=1)
@@ -411,7 +411,7 @@ def starts_of(motions: Sequence[FreeMotion]) -> tuple[float, list[Array]]:
         motions: The motions, or parts of them.
 
     Returns:
-        The longest of the horizons of which enough rollouts do not overlap, and starts by motion; 0 without any.
+        The longest horizon with enough rollouts that do not overlap, and starts by motion; 0: no such horizon.
     """
     lengths = np.array([max(motion.end - motion.begin, 0.0) for motion in motions])
     fitting = [h for h in HORIZONS_S if np.sum(np.floor(lengths / h + 1e-9)) >= MIN_STARTS_APART]
@@ -424,7 +424,7 @@ def starts_of(motions: Sequence[FreeMotion]) -> tuple[float, list[Array]]:
         usable = usable[np.linspace(0, usable.size - 1, MAX_ROLLOUT_STARTS).astype(int)]
     room = np.maximum(lengths - horizon, 0.0)
     spacing = float(room[usable].sum()) / max(MAX_ROLLOUT_STARTS - usable.size, 1)
-    if 0.0 < spacing < horizon:  # every few rollouts one begins where another ends
+    if 0.0 < spacing < horizon:  # a whole number of spacings per horizon: one rollout begins where another ends
         spacing = horizon / int(horizon / spacing)
     starts = list(nothing)
     for number in usable.tolist():
@@ -447,7 +447,7 @@ def rolled_out(
         step: Step of the integrator [s].
 
     Raises:
-        NotABody: Mass and inertia of an end effector are not those of a body.
+        NotABody: Mass and inertia of an end effector are not physical.
     """
     if not starts.size:
         return None
@@ -515,10 +515,10 @@ def rollouts_of(motions: Sequence[FreeMotion], physics: Sequence[Physics] | None
 
     Args:
         motions: The motions, or parts of them.
-        physics: Physics of every motion with effects; None: that of the model.
+        physics: Physics of every motion with effects; None: physics of the model.
 
     Raises:
-        NotABody: Mass and inertia of an end effector are not those of a body.
+        NotABody: Mass and inertia of an end effector are not physical.
     """
     horizon, starts = starts_of(motions)
     of = [motion.physics for motion in motions] if physics is None else physics

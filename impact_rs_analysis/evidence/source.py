@@ -26,7 +26,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robots.robot import Array, JointType, RobotFacts
 from impact_rs_trials.workers import Map
 
-MAX_NUMBERS_AS_LEVELS = 8  # different numbers of a covariate that may be names, as of sessions 1 to 5
+MAX_NUMBERS_AS_LEVELS = 8  # different numbers of a covariate that may be levels, such as sessions 1 to 5
 
 Item = TypeVar("Item")
 Output = TypeVar("Output")
@@ -40,7 +40,7 @@ class Identity:
         digest: Digest of all measurements; empty: not known.
         count: Number of runs, rows or recordings.
         conditions: Names of the conditions.
-        recorded: When the last run was recorded, seconds since 1970; None: not known.
+        recorded: Time of the last run, seconds since 1970; None: not known.
     """
 
     digest: str
@@ -55,8 +55,8 @@ class Covariate:
 
     Attributes:
         name: Name.
-        unit: Unit of numbers; empty: none is known.
-        values: By cluster, row by row.
+        unit: Unit of numbers; empty: not known.
+        values: Values by cluster and row.
     """
 
     name: str
@@ -71,14 +71,14 @@ class Covariate:
 
 @dataclass(frozen=True)
 class View:
-    """A sensitivity analysis: the measurements in part, or under another assumption, with a verdict of its own.
+    """A sensitivity analysis: part of the measurements, or another assumption, with a separate verdict.
 
     Attributes:
         name: Name of the part or assumption, in words.
         source: The evidence.
         option: Command-line option that sets the assumption; empty: a part of the signals.
         of: Uncertain quantity; empty: the contact points.
-        value: Its value here, in the unit.
+        value: Assumed value, in the unit.
         unit: Unit.
     """
 
@@ -96,9 +96,9 @@ class RequiredEffect:
 
     Attributes:
         item: The effect with its estimate, from the distances of pads and objects at the impacts.
-        size: Size of the residuals with it, as :meth:`Source.size`.
-        missed: Impacts whose replay hits nothing without it.
-        impacts: All impacts.
+        size: Size of the residuals with the effect, as :meth:`Source.size`.
+        missed: Number of impacts whose replay hits nothing without the effect.
+        impacts: Number of all impacts.
     """
 
     item: ModelEffect
@@ -115,17 +115,17 @@ class Source(ABC):
         model: The model, to which effects are added.
         clusters: Residuals of the model.
         physics: Physics of one cluster under the model, for the number of joints.
-        required: Alternative effects that make every replay hit where the model alone misses impacts, best first. The
-            model has the first; its interval is a systematic error of all clusters. Empty: the model misses no impact.
-        without_required: These measurements by the model alone, without the runs that it misses; None: no effect is
-            required, or too few runs are left.
+        required: Alternative effects that make every replay hit where the declared model misses impacts, best first.
+            The model has the first; its interval is a systematic error of all clusters. Empty: no impact is missed.
+        without_required: Source with the declared model, without the runs whose impact it misses; None: no effect is
+            required, or too few runs remain.
         worlds: All distinct physics of the clusters under the model, for bounds of parameters.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         remarks: Remarks on the measurements, for the reader.
-        impossible: How the measurements break a law of every impact, whatever the contact; empty: they do not.
+        impossible: Violation of a law that holds for every contact, such as a gain of energy; empty: no violation.
         comparison_remarks: Remarks for a comparison.
         runs: Runs of trials; None: recordings or a table of impacts.
-        left_out: Path and reason of recordings that are too short; those of trials are with the runs.
+        left_out: Path and reason of recordings that are too short; for trials see ``runs``.
         recording: How recordings were read; None: no recordings.
         discrepancy: Model discrepancy.
         size_is: Definition of :meth:`size`.
@@ -140,8 +140,8 @@ class Source(ABC):
         least_change: Without repeats, smallest distance of a parameter's interval from nominal for an effect to be
             accepted [parameter scales]; 0: the relevance limits of the features decide.
         covariates: Circumstances on which an effect may depend.
-        interleaved: Whether folds are interleaved, in place of runs of neighbours.
-        folds: Largest number of folds of the cross-validation: from five on, the held-out error changes little.
+        interleaved: Whether folds are interleaved; if not, a fold consists of neighbouring clusters.
+        folds: Largest number of folds of the cross-validation; above five the held-out error changes little.
         state: Variables of the state that may be confounded with a covariate, such as the impact speed.
         progress: Called with (stage, done, total); None: not reported.
     """
@@ -173,7 +173,7 @@ class Source(ABC):
     progress: Callable[[str, int, int], None] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """State for a worker, which does not report."""
+        """State for a worker process, which does not report progress."""
         return {name: value for name, value in vars(self).items() if name not in ("progress", "without_required")}
 
     def report(self, stage: str, done: int = 0, total: int = 0) -> None:
@@ -183,7 +183,7 @@ class Source(ABC):
 
     @property
     def declared_model(self) -> Model:
-        """The model without the effect that the impacts require."""
+        """The model as given, without the required effect (:attr:`required`)."""
         added = {required.item.name for required in self.required[:1]}
         effects = tuple(item for item in self.model.effects if item.name not in added)
         return self.model.model_copy(update={"effects": effects}) if added else self.model
@@ -194,7 +194,7 @@ class Source(ABC):
 
     @property
     def free_motion_part(self) -> Source | None:
-        """Source of free motion alone, with the same cluster indices; None: its predictions are not cheaper."""
+        """Source of free motion alone, with equal cluster indices; None: its predictions are not cheaper."""
         return None
 
     @property
@@ -237,12 +237,12 @@ class Source(ABC):
         """Joint types, base to tip, of the arm whose parameters all arms share; empty without an arm.
 
         Raises:
-            InputError: Arms with different joints have the same name.
+            InputError: Arms with different joints have one name.
         """
         joints_of_arms = {(name, joints) for world in self.worlds for name, joints in world.arm_joints}
         if not self.model.arms and len({joints for _, joints in joints_of_arms}) > 1:
             arms = ", ".join(f"{name} with {len(joints)} joints" for name, joints in sorted(joints_of_arms))
-            raise InputError(f"arms {arms}: parameters carry the name of their arm; expected another name for each")
+            raise InputError(f"arms {arms}: parameters carry the name of their arm; expected a different name for each")
         arm = next(iter(self.physics.arms.values()), None)
         return () if arm is None else arm.facts.joint_types
 
@@ -267,7 +267,7 @@ class Source(ABC):
     def distribute(
         self, function: Callable[[Source, Item], Output], items: Sequence[Item], purpose: str
     ) -> list[Output]:
-        """``function(source, item)`` of every item, in parallel processes if predictions are expensive.
+        """Results ``function(source, item)`` of all items, from parallel processes if predictions are expensive.
 
         Args:
             function: A pure function that can be pickled.
@@ -286,11 +286,11 @@ class Source(ABC):
         """Features, in their units, of clusters under the model with added effects.
 
         Args:
-            requests: Index of the cluster, and the added effects.
+            requests: Pairs of a cluster's index and the added effects.
             purpose: Purpose, shown as progress.
 
         Returns:
-            ``(F,)`` each; None if a contact is missing, or if the effects give a body without positive inertia.
+            Features ``(F,)`` by request; None if a contact is missing, or if the effects leave no positive inertia.
         """
 
     def differences(self, numbers: Sequence[int], before: Added, after: Added, purpose: str) -> list[Array | None]:
@@ -303,23 +303,23 @@ class Source(ABC):
             purpose: Purpose, shown as progress.
 
         Returns:
-            ``(F,)`` each; None where one of the two cannot be predicted.
+            Changes ``(F,)`` by cluster; None if a prediction before or after fails.
         """
         predicted = self.predict([(number, added) for added in (before, after) for number in numbers], purpose)
         return [difference(a, b) for a, b in zip(predicted[: len(numbers)], predicted[len(numbers) :], strict=True)]
 
     @property
     def known_effects(self) -> dict[str, Effect]:
-        """Effects that it can predict, by name."""
+        """Effects that the source can predict, by name."""
         return self.model.known_effects
 
     def offers(self, effect: Effect) -> bool:
-        """Whether a search considers an effect; those of the bare arm need recordings, those of neighbours some."""
+        """Whether a search considers an effect; no effects of the bare arm, nor of neighbours without neighbours."""
         has_neighbours = any(world.neighbours for world in self.worlds)
         return not effect.calibrates and (effect.acts_on != "neighbour" or has_neighbours)
 
     def starts(self, name: str) -> Sequence[Array]:
-        """Further starts ``(p,)`` of the fit of an effect, suggested by the measurements."""
+        """Additional initial values ``(p,)`` of the fit of an effect, suggested by the measurements."""
         del name
         return ()
 
@@ -327,7 +327,7 @@ class Source(ABC):
         """The source with effects that depend on covariates, and interleaved folds.
 
         Args:
-            effects: Dependent effects, under names of their own.
+            effects: Dependent effects, with distinct names.
         """
         raise NotImplementedError(f"{type(self).__name__} has no covariates")
 
@@ -336,7 +336,7 @@ class Source(ABC):
         return self
 
     def unseen(self, searched: Source, added: Added) -> tuple[str, ...]:
-        """Remarks on the error of effects on the rows that :meth:`searched` left out.
+        """Remarks on the error of effects for rows outside the subsample of :meth:`searched`.
 
         Args:
             searched: Subsample of the search.
@@ -346,7 +346,7 @@ class Source(ABC):
         return ()
 
     def views(self) -> tuple[View, ...]:
-        """Parts of the measurements and other assumptions, each with a verdict of its own (sensitivity analysis)."""
+        """Parts of the measurements and other assumptions, each with a separate verdict (sensitivity analysis)."""
         return ()
 
     def compare_levels(self) -> Comparison:
@@ -364,7 +364,7 @@ class Source(ABC):
         return ()
 
     def joint_sizes(self, residuals: Sequence[Array]) -> list[tuple[str, float, float, str]]:
-        """Joint, root mean square of its residual torque, noise and unit, for recordings of one arm.
+        """Joint, rms residual torque, noise and unit, for recordings of one arm.
 
         Args:
             residuals: Residuals by cluster, ``(F,)`` [-].
@@ -373,19 +373,19 @@ class Source(ABC):
         return []
 
     def free_motions(self, numbers: Sequence[int] | None = None) -> tuple[FreeMotion, ...]:
-        """Motions without contact from which the model is rolled out; empty without the torque that drives them.
+        """Motions without contact for rollouts of the model; empty if the driving torque is not known.
 
         Args:
-            numbers: Indices of the clusters that they shall be part of; None: all measurements.
+            numbers: Indices of the clusters that contain the motions; None: all measurements.
         """
         del numbers
         return ()
 
     def rollouts(self, parts: Sequence[tuple[FreeMotion, Added]] | None = None) -> Rollouts | None:
-        """Rollouts of the model; None where motions are too short, or an arm has no inertia or a load is not finite.
+        """Rollouts of the model; None if motions are too short, an arm has no inertia, or a load is not finite.
 
         Args:
-            parts: Motions, each with effects added to the model; None: all motions, without.
+            parts: Motions, each with effects added to the model; None: all motions, without added effects.
         """
         parts = [(motion, ()) for motion in self.free_motions()] if parts is None else parts
         try:
@@ -408,16 +408,16 @@ class Source(ABC):
 def with_per_arm_parameters(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Model:
     """The model with separate effect parameters for every arm, where arms do not share them.
 
-    Arms of one kind share parameters: that halves their number, and a motion of one arm informs about the other. Arms
-    of different kinds have separate parameters.
+    Arms of one kind share parameters: two arms have half as many, and the motion of one arm informs about the other.
+    Arms of different kinds have separate parameters.
 
     Args:
         model: The model; one with arms is returned unchanged.
         worlds: All measured physics.
-        each_arm: Whether arms of one kind have separate parameters, too.
+        each_arm: Whether also arms of one kind have separate parameters.
 
     Raises:
-        InputError: ``each_arm``, and one name stands for several robots.
+        InputError: ``each_arm``, and several robots have one name.
     """
     kinds_of_arm: dict[str, list[RobotFacts]] = {}
     for physics in worlds:

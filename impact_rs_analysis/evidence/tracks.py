@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracks: one run over time, measured and predicted on a common clock, for figures, the 3D view and aligned bags.
 
-Contact forces are those of the momentum observer (:mod:`impact_rs_control.detection`), for model and measurement alike.
+Contact forces of model and measurement are estimates of the momentum observer (:mod:`impact_rs_control.detection`).
 They include errors of the nominal rigid model of the arm.
 """
 
@@ -59,7 +59,7 @@ class VelocityJump:
     """Velocity of one body before and after the impact.
 
     Attributes:
-        body: Name of the arm, whose end effector it is, or ``object``.
+        body: Name of the arm (its end effector), or ``object``.
         position: Position of the body at the begin of the impact, in A, ``(3,)`` [m].
         before: Velocity 18 to 3 ms before it, in A, ``(3,)`` [m/s].
         after: Velocity 20 to 40 ms after it, of the object 6 to 40 ms, in A, ``(3,)`` [m/s].
@@ -101,7 +101,7 @@ class TrackSide:
         object: Pose of the object's centre in A as position and quaternion x y z w, ``(k, 7)`` [m, -]; NaN where not
             tracked.
         jumps: Velocities before and after the impact.
-        neighbours: Poses of its neighbours by name, likewise.
+        neighbours: Poses of the object's neighbours by name, likewise.
     """
 
     arms: dict[str, ArmTrack]
@@ -121,7 +121,7 @@ class Track:
 
     Attributes:
         label: Name of the run, or of recording and model.
-        time: Time of the run, or since the start of the recording [s]; of a table the number of the row, ``(k,)``.
+        time: Time of the run, or since the start of the recording [s]; for a table the numbers of the rows, ``(k,)``.
         impact: Begin of the first impact [s]; None without an impact.
         starts: Rows in which a stretch begins; there are no data between two stretches.
         curves: Signals for figures.
@@ -145,11 +145,11 @@ class Track:
         return self.physics is not None and self.measured is not None
 
 
-# ---- runs beside a model --------------------------------------------------------------------------------------------
+# ---- runs and their replays ------------------------------------------------------------------------------------------
 
 
 def tracks_of_runs(runs: Runs, model: Model, map_tasks: Any, added: Added = ()) -> tuple[Track, ...]:
-    """The first run of every condition beside its replay, those with an impact first."""
+    """The first run of every condition and its replay, runs with an impact first."""
     firsts = sorted((group[0] for group in runs.conditions.values()), key=lambda run: not run.hit)
     return tuple(map_tasks(_track_of_task, [(run, model, added) for run in firsts]))
 
@@ -159,7 +159,7 @@ def _track_of_task(task: tuple[MeasuredRun, Model, Added]) -> Track:
 
 
 def track_of_run(run: MeasuredRun, model: Model, added: Added = ()) -> Track:
-    """A run beside its replay, window by window.
+    """A run and its replay, window by window.
 
     Args:
         run: The measurement.
@@ -178,7 +178,7 @@ def track_of_run(run: MeasuredRun, model: Model, added: Added = ()) -> Track:
 
 
 def _windowed_side(run: MeasuredRun, windows: Sequence[Signals], time: Array, starts: Sequence[int]) -> TrackSide:
-    """Motion in all windows; before the window of the impact a tracked object rests where it will be hit."""
+    """Motion in all windows; before the window of the impact a tracked object rests at its last measured pose."""
     arms = {
         name: ArmSignals(
             *(
@@ -209,7 +209,7 @@ def _extended(poses: Array) -> Array:
 
 
 def _curves(track: Track, measured: TrackSide, predicted: TrackSide, main: int) -> list[ComparedSignal]:
-    """Signals of a run: end effectors along the main axis first, then joints, then the object."""
+    """Signals of a run: end effectors (main axis first), joints, then the object."""
     assert track.physics is not None
     signals: list[ComparedSignal] = []
     axes = [(axis, AXES[axis], "m/s") for axis in (main, *(axis for axis in range(3) if axis != main))]
@@ -272,7 +272,7 @@ def track_of_recording(run: Run) -> Track:
     arms = {name: arm.at(recorded) for name, arm in signals.arms.items()}
     try:
         impacts = {arm: begin for arm, (begin, _) in impacts_of(run).items()} if run.hit else {}
-    except InputError:  # no impact: the run is shown all the same
+    except InputError:  # no impact: the run is shown without jumps
         impacts = {}
     poses = {name: _poses_at(time, tracked) for name, tracked in signals.poses.items()}
     side = _side(run.physics, time, starts, arms, poses, impacts)
@@ -280,7 +280,7 @@ def track_of_recording(run: Run) -> Track:
 
 
 def track_of_bag(bag: TrialBag) -> Track:
-    """A trial as far as all of its arms were recorded, from the robot's own topics; ``/truth`` is not read.
+    """A trial over the time that all of its arms were recorded, from the robot's topics; ``/truth`` is not read.
 
     Raises:
         BagError: An arm's joint states are missing or damaged.
@@ -379,13 +379,14 @@ def _poses_at(time: Array, tracked: Poses) -> Array:
 
 
 def _at(time: Array, known_time: Array, values: Array) -> Array:
+    """Columns of ``values`` interpolated at other times."""
     return np.column_stack([np.interp(time, known_time, column) for column in values.T])
 
 
 def _jumps(
     time: Array, arms: Mapping[str, ArmTrack], poses: Array, impacts: Mapping[str, float]
 ) -> tuple[VelocityJump, ...]:
-    """Velocity jumps of every arm that hit, and of the object; none if the windows hold no samples."""
+    """Velocity jumps of every arm that hit, and of the object; empty if the windows hold no samples."""
     jumps = []
     for arm, begin in impacts.items():
         if not arms[arm].twist.size:

@@ -19,17 +19,17 @@ Range = tuple[float, float]
 
 SAMPLES_PER_RUN = 100  # at which forward kinematics are computed
 RANGE_MARGIN_SHARE = 0.02  # of a range; a smaller excess is not reported
-RANGE_PERCENTILES = (0.5, 99.5)  # that count as the ends of a range
+RANGE_PERCENTILES = (0.5, 99.5)  # ends of a range
 
 
 def measured_ranges(
     source: Source, quantities: Iterable[str] = (), after: float = WINDOW_AFTER_IMPACT_S
 ) -> dict[str, Range]:
-    """Range of the symbols over all runs, up to the end of the replay; those that were not measured are missing.
+    """Range of the symbols over all runs, up to the end of the replay; without symbols that were not measured.
 
     Args:
         source: Measurements.
-        quantities: Formulas of symbols with ranges of their own; formulas with memory have none.
+        quantities: Formulas of symbols, whose ranges are added; formulas with memory have no range.
         after: End of the evaluated time, after the first impact of a run [s].
     """
     values_of: dict[str, list[Array]] = {}
@@ -75,7 +75,7 @@ def _runs(source: Source) -> Sequence[Run]:
 
 
 def _signals(run: Run, after: float) -> Iterator[tuple[str, Array]]:
-    """Symbols with their values along a run."""
+    """Symbols with their values along a run, ``(k,)`` each."""
     impacts = getattr(run, "impacts", {})
     end = min(impacts.values()) + after if impacts else np.inf
     signals = run.signals

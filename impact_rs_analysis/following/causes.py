@@ -59,11 +59,11 @@ class Causes:
         return [pair for pair in explained if pair[0].log_ratio > explained[0][0].log_ratio - tie][:MAX_HYPOTHESES]
 
     def instead_of(self, best: Hypothesis) -> tuple[Hypothesis, Explained, float] | None:
-        """Better explanation of the hits since the last change than the effect named then.
+        """Better explanation of the hits since the last change than the effect announced then.
 
         Returns:
-            The hypothesis before that change, the explanations of all hits since, and by how much the logarithm of the
-            likelihood ratio of the first exceeds that of the effect that was named; None: there is none.
+            The hypothesis before that change, the explanations of all hits since, and the log likelihood ratio of the
+            likeliest explanation against the announced effect; None: no better explanation.
         """
         origin = best.origin
         if origin is None:
@@ -152,7 +152,7 @@ class Causes:
         return Hypothesis(point, posterior, effect=effect, origin=origin)
 
     def complete(self, fitted: Hypothesis) -> Hypothesis:
-        """The hypothesis with sensitivities to all parameters, for the test at the next hits."""
+        """The hypothesis with sensitivities to all active parameters, for the test at the next hits."""
         assert fitted.origin is not None
         posterior, active = fitted.posterior, self._hit_model.active
         whole = self._since(fitted.origin, posterior.followed, posterior.hits, fitted.point, active)
@@ -191,7 +191,7 @@ class Causes:
 
 
 def _gains(before: Hypothesis, fitted: Hypothesis) -> list[float]:
-    """Fall of the sum of squared whitened residuals of every hit since a change that both predict."""
+    """Fall of the sum of squared whitened residuals, by hit since a change that both hypotheses predict."""
     past = {evidence.hit.name: evidence for evidence in before.posterior.since()}
     gains = []
     for evidence in fitted.posterior.since():

@@ -6,7 +6,7 @@ of the posterior (:mod:`.posterior`), which holds all hits, and sums over the hi
 
     S = sum J^T (r - H m) = b - A^T m,        I = B - A^T L^-1 A
 
-are score and information of eta once everything that is not certain (other parameters, discrepancy) is fitted too: the
+are score and information of eta with all other uncertain parts of the state (other parameters, discrepancy) fitted: the
 generalised likelihood ratio of Willsky and Jones (1976) for a linear system. With the prior eta ~ N(0, W^2), W =
 ``CHANGE_PRIOR_SCALES`` parameter scales, the mean of the likelihood ratio LR
 (:mod:`impact_rs_analysis.inference.student`) is 1 where nothing changed. So the sum over moments of change, averaged
@@ -16,7 +16,7 @@ over effects,
 
 is a Shiryaev-Roberts statistic: R - (number of instants) is a martingale, and the mean number of instants to a false
 alarm at R >= A is at least A (Pollak 1985; 1987). It needs no table of thresholds, reacts within the delay of Page's
-CUSUM (1954) to first order (Lorden 1971), and takes many effects with unequal numbers of parameters without favour.
+CUSUM (1954) to first order (Lorden 1971), and favours no effect for its number of parameters.
 
 The variance of each effect's score is calibrated on quiet hits: an excess variance deflates the score
 (:class:`Calibration`). A change needs two instants, the later confirming the earlier; a single outlier is not a change.
@@ -54,7 +54,7 @@ class ChangeExplanation:
         start: Instant of the window from which on it acts.
         change: eta, in parameter scales, ``(p_e,)``.
         log_ratio: Logarithm of its likelihood ratio against no change.
-        gain: Fall of the sum of squared whitened residuals of the hits since then that it promises, to first order.
+        gain: Predicted fall of the sum of squared whitened residuals of the hits since then, to first order.
         determinant: log det(1 + D I D).
     """
 
@@ -174,7 +174,7 @@ class ChangeTest:
         return sorted(filter(self._enough, supported), key=lambda explanation: -explanation.log_ratio)
 
     def _enough(self, explanation: ChangeExplanation) -> bool:
-        """Whether there are hits enough since a change."""
+        """Whether there are enough hits since a change."""
         since = self.posterior.since(explanation.start)
         return len(since) >= self.calibration.least_hits(self.mean_time, since)
 
@@ -182,7 +182,7 @@ class ChangeTest:
         """Fall of the sum of squared whitened residuals of every hit since a change, to first order."""
         numbers, now = [self.active[index] for index in self.effects[explanation.effect]], self.posterior.now
         cross, _, _ = self.posterior.suffixes([explanation.start], numbers)
-        moved = now.solve(cross[0] @ explanation.change)  # the state gives way to the change
+        moved = now.solve(cross[0] @ explanation.change)  # the state is fitted anew
         gains = []
         for evidence in self.posterior.since(explanation.start):
             columns, observed = now.observed(evidence)
@@ -236,7 +236,7 @@ class ChangeTest:
             eta = bounded(total, score[case], lower, upper)
             gain = float(score[case] @ eta - 0.5 * eta @ total @ eta) / inflation
             free = float(score[case] @ np.linalg.solve(total, score[case])) / (2.0 * inflation)
-            # Where a bound holds, t turns the smaller gain into a smaller ratio in the same proportion.
+            # An active bound lowers the gain; the log ratio falls in proportion.
             ratio = unbounded if free <= 0.0 else unbounded - (free - gain) * min(1.0, max(unbounded, 1.0) / free)
             if best is None or ratio > best.log_ratio:
                 earlier = _positive(information[case] - information[0]) + prior
@@ -258,7 +258,7 @@ class ChangeTest:
 
 
 def support(gains: Sequence[float]) -> float:
-    """Support of an explanation without the quarter of the hits that supports it most (trimmed sum).
+    """Trimmed sum of gains: support of an explanation without the quarter of the hits that supports it most.
 
     Args:
         gains: Fall of the sum of squared whitened residuals of each hit.

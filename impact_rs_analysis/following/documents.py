@@ -23,7 +23,7 @@ class Predicted(Schema):
 class NextHit(Schema):
     """Prediction of the next hit of a condition from the initial state of the last one."""
 
-    condition: str = Field(description="condition; empty: that of the last hit")
+    condition: str = Field(description="condition; empty: the condition of the last hit")
     like: str = Field(description="hit whose start it is")
     values: tuple[Predicted, ...] = Field(description="predicted numbers")
 
@@ -51,7 +51,7 @@ class Cause(Schema):
     share: float = Field(description="probability among the explanations that are named")
     since: str = Field(description="first hit after the change")
     parameters: tuple[Followed, ...] = Field(description="its parameters that moved")
-    words: str = Field(description="the same in words")
+    words: str = Field(description="the explanation in words")
 
 
 class Change(Schema):
@@ -91,8 +91,8 @@ class HitDocument(Schema):
     condition: str = Field(description="its condition; empty: it repeats nothing")
     error: float | None = Field(None, description="prediction error before the hit was seen, in multiples of its "
                                 "standard deviation (rms over features); null while the scatter is learnt")  # fmt: skip
-    of_model: float | None = Field(None, description="the same of the model as it was given; null likewise")
-    evidence: float | None = Field(None, description="log10 of the statistic of the test; null likewise")
+    of_model: float | None = Field(None, description="prediction error of the given model; null while it is learnt")
+    evidence: float | None = Field(None, description="log10 of the statistic of the test; null while it is learnt")
     odd: bool = Field(False, description="whether the hit is beyond what 999 of 1,000 do, and weighs less")
     change: Change | None = Field(None, description="change that this hit confirms; null: none")
     resolved: str = Field("", description="explanation that hits have ruled in; empty: none at this hit")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Follows a model from hit to hit: learns the scatter, updates the posterior, tests for change, and predicts.
 
-The first hits teach the scatter (:mod:`.learning`). From then on every instant is predicted before its outcome is
-looked at, updates what is believed, and is tested for a change (:mod:`.watch`).
+The scatter is learnt from the first hits (:mod:`.learning`). Every later instant is predicted before its outcome is
+used, updates the posterior, and is tested for a change (:mod:`.watch`).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class HitsSince:
 
     @property
     def diagnosable(self) -> bool:
-        """Whether they suffice for a full diagnosis: three conditions, and three more hits than conditions."""
+        """Whether the hits suffice for a full diagnosis: three conditions, and three more hits than conditions."""
         conditions = len(set(filter(None, self.conditions)))
         count = len(self.conditions)
         if not conditions:  # rows that repeat nothing
@@ -52,7 +52,7 @@ class Follower:
     Args:
         hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
         model: Model at the start.
-        only: Effects to follow in addition to those of the model; None: all observable ones.
+        only: Effects to follow in addition to the effects of the model; None: all observable effects.
         learnt: Number of hits from which the scatter is estimated.
         mean_time: Mean number of hits to a false alarm, at least.
 
@@ -136,7 +136,7 @@ class Follower:
         return self.watch is not None and hit.layout in self.watch.hit_model.whiten
 
     def followed(self) -> tuple[Followed, ...]:
-        """Believed parameters, by the likeliest hypothesis."""
+        """Parameters with intervals by the likeliest hypothesis."""
         if self.watch is None:
             return ()
         best, hits = self.watch.likeliest, self.watch.hit_model

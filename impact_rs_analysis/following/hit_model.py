@@ -140,7 +140,7 @@ class HitModel:
         return predicted, jacobian
 
     def error_at_start(self, evidence: HitEvidence, point: Array) -> float:
-        """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
+        """Error of the given model, in standard deviations of a hit, rms over the features."""
         residual, hit = evidence.residual, evidence.hit
         start = self.candidate.point
         if not np.array_equal(point, start):
@@ -149,7 +149,7 @@ class HitModel:
         return math.sqrt(float(np.mean(np.square(residual))))
 
     def values(self, hypothesis: Hypothesis) -> Array:
-        """Believed values of all parameters, ``(p,)``."""
+        """Posterior means of all parameters, within their ranges, ``(p,)``."""
         candidate, followed = self.candidate, list(hypothesis.posterior.followed)
         values = hypothesis.point.copy()
         values[followed] += candidate.scale[followed] * hypothesis.posterior.now.mean[: len(followed)]
@@ -177,14 +177,14 @@ class HitModel:
         return tuple(parameters)
 
     def forecast(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array, Array] | None:
-        """Residual of a hit ``(F,)`` and its covariance ``(F, F)``, whitened, and what whitens it; None: no contact."""
+        """Whitened innovation ``(F,)`` of a hit, its covariance, and the whitening ``(F, F)``; None: no contact."""
         evidence = self.evidence(hit, hypothesis.point) if hit.layout in self.whiten else None
         if evidence is None:
             return None
         return (*hypothesis.posterior.now.predictive(evidence), self.whiten[hit.layout])
 
     def predicted(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
-        """Predictive mean and variance of the features of such a hit, ``(F,)`` each; None: no contact."""
+        """Predictive mean and variance of the features of a hit with this initial state, ``(F,)``; None: no contact."""
         if (forecast := self.forecast(hypothesis, hit)) is None:
             return None
         innovation, covariance, whiten = forecast

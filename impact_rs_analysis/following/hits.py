@@ -47,15 +47,15 @@ class Hit:
 
     Attributes:
         name: Name of the bag, or ``row 7``; the same whenever it is read.
-        stamp: When it was measured [s], or the number of its row; hits of one stamp count as simultaneous.
+        stamp: When it was measured [s], or the number of its row; hits with one stamp are simultaneous.
         timed: Whether the stamp is a time, in seconds since 1970.
         condition: Hits of one condition are repeats; empty: it repeats nothing.
-        layout: Hits of one layout have the same features and the same scatter.
-        group: Hits of one group share the amplitudes of the model discrepancy: a condition has its own, since a misfit
-            that is taken for that of another condition would look like a change where conditions alternate.
+        layout: Key of hits with equal features and equal scatter.
+        group: Key of hits that share the amplitudes of the model discrepancy: its condition. With amplitudes common to
+            conditions that alternate, a misfit would look like a change.
         features: Description of the entries.
         measured: Measured features, ``(F,)``.
-        noise: Standard deviation of each that the measurement itself states; 0: not stated, ``(F,)``.
+        noise: Standard deviation of each feature, as stated with the measurement; 0: not stated, ``(F,)``.
         discrepancy: Patterns of the model discrepancy at amplitude 1, ``(k, F)``.
         physics: Nominal physics of its scene.
     """
@@ -74,7 +74,7 @@ class Hit:
 
     @property
     def has_contact(self) -> bool:
-        """Whether anything is hit, so that not all of it is free motion."""
+        """Whether a feature belongs to an impact or push, and not all to free motion."""
         return any(feature.phase != "free" for feature in self.features)
 
     @property
@@ -89,12 +89,12 @@ class HitSource(ABC):
     Attributes:
         model: The model.
         skipped: Name and reason of everything that gives no hit.
-        waiting: Number of hits that :meth:`arrived` has found and not given yet.
+        waiting: Number of new hits that :meth:`arrived` has not yielded yet.
     """
 
     model: Model
     skipped: dict[str, str]
-    _reported = 0  # of them
+    _reported = 0  # entries of ``skipped``
     waiting: int = 0
 
     @abstractmethod
@@ -106,12 +106,12 @@ class HitSource(ABC):
         """
 
     @abstractmethod
-    def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
+    def recalled(self, names: Sequence[str], handled: Sequence[str]) -> dict[str, Hit]:
         """Hits read again by name, after a restart.
 
         Args:
             names: Hits to read again.
-            known: All hits that were given before, which :meth:`arrived` leaves out from now on.
+            handled: All hits before the restart, which :meth:`arrived` skips from now on.
 
         Raises:
             InputError: One of them is gone.
@@ -143,7 +143,7 @@ class HitSource(ABC):
 
     @abstractmethod
     def source(self, hits: Sequence[Hit]) -> Source:
-        """Some hits as a source of evidence, which knows robots, ranges of parameters and noticeable changes."""
+        """Some hits as a source of evidence, with robots, ranges of parameters and noticeable changes."""
 
     @abstractmethod
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
@@ -177,27 +177,26 @@ class TableHitSource(HitSource):
     ) -> None:
         self._read, self._discrepancy = read, discrepancy
         self._table: ImpactTable | None = None
-        self._known: set[int] = set()
+        self._handled: set[int] = set()  # numbers of rows
         self.model, self.skipped = model, {}
 
     def arrived(self) -> Iterator[Hit]:
         """See :meth:`HitSource.arrived`."""
         table = self._reread()
-        fresh = [index for index, row in enumerate(table.rows) if row.number not in self._known]
-        self._known |= {table.rows[index].number for index in fresh}
+        fresh = [index for index, row in enumerate(table.rows) if row.number not in self._handled]
+        self._handled |= {table.rows[index].number for index in fresh}
         hits = sorted(self._hits(table, fresh), key=lambda hit: (hit.stamp, hit.name))
         for count, hit in enumerate(hits, start=1):
             self.waiting = len(hits) - count
             yield hit
 
-    def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
+    def recalled(self, names: Sequence[str], handled: Sequence[str]) -> dict[str, Hit]:
         """See :meth:`HitSource.recalled`."""
         table = self._reread()
         index_of = {name_of_row(row.number): index for index, row in enumerate(table.rows)}
-        if missing := [name for name in (*names, *known) if name not in index_of]:
+        if missing := [name for name in (*names, *handled) if name not in index_of]:
             raise InputError(f"{missing[0]}, which the state knows, is gone", file=table.path)
-        known_names = set(known)
-        self._known = {row.number for row in table.rows if name_of_row(row.number) in known_names}
+        self._handled = {row.number for row in table.rows if name_of_row(row.number) in set(handled)}
         return {hit.name: hit for hit in self._hits(table, [index_of[name] for name in dict.fromkeys(names)])}
 
     def limits(self, first: Sequence[Hit], layout: str) -> Array:
@@ -221,7 +220,7 @@ class TableHitSource(HitSource):
         return hit.source.predict_row(hit.index, added)
 
     def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
-        """See :meth:`HitSource.unmeasured`: the same hits at other speeds."""
+        """See :meth:`HitSource.unmeasured`: measured hits at other speeds."""
         assert self._table is not None
         rows = {name_of_row(row.number): row for row in self._table.rows}
         for hit in measured:
@@ -293,7 +292,7 @@ class BagHit(Hit):
 
     @property
     def shared(self) -> str:
-        """See :attr:`Hit.shared`: repeats with the same signals start alike."""
+        """See :attr:`Hit.shared`: repeats with the same signals have nearly equal initial states."""
         return self.group
 
 
@@ -315,7 +314,7 @@ class BagHitSource(HitSource):
         discrepancy: Discrepancy | None = None,
     ) -> None:
         self._directory, self._store, self._discrepancy = directory, store, discrepancy
-        self._known: set[Path] = set()
+        self._handled: set[Path] = set()
         self._conditions: set[str] = set()
         self._scenarios: dict[str, Scenario] = {}
         self.model, self.skipped = model, {}
@@ -324,10 +323,10 @@ class BagHitSource(HitSource):
         """See :meth:`HitSource.arrived`; each bag is read when it is due; ``skipped`` names the others."""
         if not self._directory.is_dir():
             raise InputError("no such folder of trials", file=self._directory)
-        fresh = [path for path in trials_below(self._directory) if path not in self._known]
+        fresh = [path for path in trials_below(self._directory) if path not in self._handled]
         fresh.sort(key=lambda path: (recorded_at(path), str(path)))
         for count, path in enumerate(fresh, start=1):
-            self._known.add(path)
+            self._handled.add(path)
             self.waiting = len(fresh) - count
             hit = self._read(path)
             if isinstance(hit, BagHit):
@@ -335,9 +334,9 @@ class BagHitSource(HitSource):
             else:
                 self.skipped[str(path.relative_to(self._directory))] = hit
 
-    def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
+    def recalled(self, names: Sequence[str], handled: Sequence[str]) -> dict[str, Hit]:
         """See :meth:`HitSource.recalled`."""
-        self._known = {self._directory / name for name in known}
+        self._handled = {self._directory / name for name in handled}
         hits: dict[str, Hit] = {}
         for name in dict.fromkeys(names):
             run = read_trial(self._directory / name)
@@ -370,7 +369,7 @@ class BagHitSource(HitSource):
         return self._store([Replay(hit.run.setup, self.model, effects) for effects in added])
 
     def _read(self, path: Path) -> BagHit | str:
-        """The hit of a bag, or why it gives none."""
+        """The hit of a bag, or the reason why it cannot be used."""
         run = read_trial(path)
         if not isinstance(run, MeasuredRun):
             return run[1]

@@ -32,13 +32,13 @@ class Learning:
     Args:
         hit_source: Gives hits and predictions; its model is replaced by one without the effects that are followed.
         model: Model at the start.
-        only: Effects to follow in addition to those of the model; None: all observable ones.
+        only: Effects to follow in addition to the effects of the model; None: all observable effects.
         learnt: Number of hits from which the scatter is estimated.
         mean_time: Mean number of hits to a false alarm, at least.
 
     Attributes:
-        first: The hits.
-        hit_model: Model of the hits; None: too few were seen.
+        first: First hits of layouts whose scatter is not known yet.
+        hit_model: Model of the hits; None: too few hits so far.
     """
 
     def __init__(
@@ -58,9 +58,13 @@ class Learning:
         self.hit_model: HitModel | None = None
 
     def enough(self, layout: str, count: int) -> bool:
-        """Whether the first hits of a layout teach its scatter, after so many hits of all.
+        """Whether the first hits of a layout determine its scatter.
 
         Repeats are awaited until there are twice as many hits as needed.
+
+        Args:
+            layout: The layout.
+            count: Number of hits of all layouts.
         """
         hits = [hit for hit in self.first if hit.layout == layout]
         if count < self.learnt or len(hits) < self.learnt // 2:
@@ -75,7 +79,7 @@ class Learning:
         return min(MIN_SCATTER_FREEDOM, self.learnt // 2 - 1)
 
     def begin(self, layout: str, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
-        """Learn the scatter of a layout from its first hits; the hypotheses with what these say.
+        """Learn the scatter of a layout from its first hits, and update the hypotheses with them.
 
         Raises:
             InputError: The model predicts fewer than half of them.
@@ -177,5 +181,5 @@ def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array, least: int) 
 
 
 def _is_current(model: Model, item: ModelEffect) -> bool:
-    """Whether an entry has the parameters of the present effect; older files may differ."""
+    """Whether an entry has the parameters of the effect in the library; older files may differ."""
     return model.effect_of(item).parameters == model.known_effects[item.name].parameters

@@ -24,7 +24,7 @@ from impact_rs_analysis.inference.student import log_density
 from impact_rs_sim.robots.robot import Array
 
 WINDOW_INSTANTS = 48  # an older change is accepted
-CHANGE_PRIOR_SCALES = 3.0  # prior standard deviation of a change that is looked for, in parameter scales
+CHANGE_PRIOR_SCALES = 3.0  # prior standard deviation of a tested change, in parameter scales
 # Prior standard deviation after a change was found, in parameter scales; hits then determine it
 FOUND_CHANGE_PRIOR_SCALES = 10.0
 # Share of an amplitude's variance that is renewed from one instant of its group to the next
@@ -138,7 +138,7 @@ def huber_weight(distance: float, size: int) -> float:
 
 
 def unpredicted_log_density(size: int, freedom: float) -> float:
-    """Log density of a hit that a hypothesis cannot predict: as of an exact prediction at the limit of an odd hit.
+    """Log density assigned to a hit that a hypothesis cannot predict: at the limit of an odd hit, without covariance.
 
     Args:
         size: Number of features of the hit.

@@ -17,7 +17,7 @@ from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.inference.student import squared_distance
 from impact_rs_sim.physics import Physics
 
-# Between the predictions of two causes, in standard deviations; one measurement then decides
+# Between the predictions of two causes, in standard deviations; above, one measurement decides
 MIN_DECISIVE_DISTANCE = 2.0
 MAX_EQUAL_DIFFERENCE = 0.02  # between probabilities that are equal in practice
 
@@ -28,14 +28,14 @@ class HitlessCheck(NamedTuple):
     Attributes:
         words: Instruction to the operator.
         unit: Unit of the reading.
-        of: Expected reading in a scene, in the unit.
-        least: Difference that is read for certain, two standard deviations, in the unit.
+        reading: Expected reading in a scene, in the unit.
+        resolution: Smallest difference that is read for certain: two standard deviations, in the unit.
     """
 
     words: str
     unit: str
-    of: Callable[[Physics], float]
-    least: float
+    reading: Callable[[Physics], float]
+    resolution: float
 
 
 def _weight(physics: Physics) -> float:
@@ -73,8 +73,8 @@ def most_decisive(measurements: Iterable[ProposedMeasurement], shares: Sequence[
     """Measurement with the largest probability of a correct decision between the likeliest cause and the others.
 
     Args:
-        measurements: Measurements, those that take least effort first; of some that are as good, the first is taken.
-        shares: Probability of each of the others.
+        measurements: Measurements, least effort first; the first of several equally good ones is chosen.
+        shares: Probability of each of the other causes.
     """
     decisive = [m for m in measurements if max(m.distances) > MIN_DECISIVE_DISTANCE]
     correct = [float(scipy.special.ndtr(0.5 * np.array(m.distances)) @ np.array(shares)) for m in decisive]
@@ -98,7 +98,7 @@ def distinguishing(
     Args:
         hit_model: Predicts hits.
         hypotheses: The explanations, the likeliest first.
-        shares: Probability of each of the others.
+        shares: Probability of each of the other explanations.
         last: Last hit of every condition; empty condition: last trial with a contact.
     """
     names = [hypothesis.effect for hypothesis in hypotheses]
@@ -147,7 +147,7 @@ def _discrimination_of_check(
     """Discrimination of a check without a hit between the likeliest explanation and the others."""
     readings = [_predicted_reading(hit_model, check, hypothesis, physics) for hypothesis in hypotheses]
     (first, width), *other_readings = readings
-    noise = check.least / MIN_DECISIVE_DISTANCE
+    noise = check.resolution / MIN_DECISIVE_DISTANCE
     distances = tuple(abs(first - value) / math.sqrt(noise**2 + width**2 + wide**2) for value, wide in other_readings)
     unit = f" {check.unit}" if check.unit else ""
     expected = (f"{value:.3g}{unit} if {h.effect}" for (value, _), h in zip(readings, hypotheses, strict=True))
@@ -159,13 +159,13 @@ def _predicted_reading(
 ) -> tuple[float, float]:
     """Predicted reading of a check without a hit, and its standard deviation from the parameter uncertainty."""
     candidate, values = hit_model.candidate, hit_model.values(hypothesis)
-    centre = check.of(hit_model.scene(values, physics))
+    centre = check.reading(hit_model.scene(values, physics))
     slopes = []
     for number in hypothesis.posterior.followed:
         step = 0.1 * candidate.scale[number]
         step = step if values[number] + step <= candidate.upper[number] else -step
         step = candidate.consistent_step(values, number, step)
         moved = values + step * (np.arange(values.size) == number)
-        slopes.append((check.of(hit_model.scene(moved, physics)) - centre) * candidate.scale[number] / step)
+        slopes.append((check.reading(hit_model.scene(moved, physics)) - centre) * candidate.scale[number] / step)
     covariance = hypothesis.posterior.now.covariance
     return centre, math.sqrt(max(float(np.array(slopes) @ covariance @ np.array(slopes)), 0.0))

@@ -7,9 +7,9 @@ then correlated from hit to hit. Their exponentially weighted mean,
     b <- b + g (r - b),
 
 is the optimal predictor of a random walk in white noise, a steady-state Kalman filter (Muth 1960, *Journal of the
-American Statistical Association* 55). r are the whitened residuals of one group of hits. The gain g is the member of
-``EWMA_GAINS`` with the smallest recent prediction error; without drift it is 0, and nothing is corrected. The posterior
-and the change-point test do not use the correction.
+American Statistical Association* 55). r is the whitened residual of a hit of one group. The gain g is the member of
+``EWMA_GAINS`` with the smallest recent prediction error; without drift it is 0: no correction. The posterior and the
+change-point test do not use the correction.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class RecentResiduals:
     """Means of recent residuals of one hypothesis, by group of hits."""
 
     def __init__(self) -> None:
-        self._means: dict[str, Array] = {}  # (G, F), of each gain
-        self._squares = np.zeros(EWMA_GAINS.size)  # of the errors of each gain
+        self._means: dict[str, Array] = {}  # by group: b for each gain, (G, F)
+        self._squares = np.zeros(EWMA_GAINS.size)  # weighted sum of squared errors for each gain, (G,)
 
     def expected(self, group: str, size: int) -> Array:
         """Predicted residual of the next hit of a group, ``(size,)``, whitened [-].
@@ -49,12 +49,12 @@ class RecentResiduals:
         Args:
             group: Its group.
             residual: Whitened, ``(F,)`` [-].
-            weight: Weight of the hit [-]; an odd one moves nothing far.
+            weight: Weight of the hit [-]; below 1 for an odd hit.
         """
         means = self._means.setdefault(group, np.zeros((EWMA_GAINS.size, residual.size)))
-        off = residual - means
-        self._squares = FORGETTING_FACTOR * self._squares + weight * np.mean(np.square(off), axis=1)
-        means += weight * EWMA_GAINS[:, None] * off
+        errors = residual - means
+        self._squares = FORGETTING_FACTOR * self._squares + weight * np.mean(np.square(errors), axis=1)
+        means += weight * EWMA_GAINS[:, None] * errors
 
     @property
     def _best_gain(self) -> int:
@@ -68,7 +68,7 @@ class RecentResiduals:
 
     @classmethod
     def restored(cls, document: Mapping[str, Any]) -> Self:
-        """As they were when :meth:`saved` was called."""
+        """Residuals from the document of :meth:`saved`."""
         residuals = cls()
         residuals._squares = np.array(document["squares"])
         residuals._means = {group: np.array(values) for group, values in document["means"].items()}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """State file of a follower: a later run goes on where an earlier one ended.
 
-It is a NumPy archive (``.npz``) with numbers alone, and one text that is a JSON document: hits of the window and the
-last of every condition are kept by name and read again.
+It is a NumPy archive (``.npz``) of numeric arrays and one text, a JSON document. Hits of the window and the last hit of
+every condition are stored by name and read again.
 """
 
 from __future__ import annotations
@@ -82,11 +82,11 @@ def restore_state(follower: Follower, path: Path) -> int:
     """Let a new follower go on where the state was saved.
 
     Args:
-        follower: It has seen no hit.
+        follower: A follower without hits.
         path: The file.
 
     Returns:
-        Number of hits that were seen before.
+        Number of hits before the restart.
 
     Raises:
         InputError: It is no state file, one of another model, or a hit that it needs is gone.
@@ -116,7 +116,7 @@ def restore_state(follower: Follower, path: Path) -> int:
 
 
 def _restore(follower: Follower, document: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
-    """Go on where the document was made."""
+    """Restore a follower from its document and arrays."""
     windows = [name for h in document["hypotheses"] for instant in h["window"] for name, _ in instant]
     needed = [*document["first"], *document["last"].values(), *windows]
     recalled = follower.hit_source.recalled(needed, document["names"])

@@ -122,8 +122,8 @@ class HitWatch:
         """Update every hypothesis with simultaneous hits.
 
         Returns:
-            By name of a hit: errors of the likeliest hypothesis and of the model as it was given, and whether the hit
-            is an outlier.
+            By name of a hit: errors of the likeliest hypothesis and of the given model, and whether the hit is an
+            outlier.
         """
         errors: dict[str, tuple[float, float, bool]] = {}
         best, hit_model, calibration = self.likeliest, self.hit_model, self.hit_model.calibration
@@ -261,7 +261,7 @@ class HitWatch:
 
 
 def _when(hit: Hit) -> str:
-    """Time of a hit for the reader: wall clock, or its name."""
+    """Wall-clock time and name of a hit; without a time its name."""
     if not hit.timed or hit.stamp < MIN_WALL_CLOCK_S:
         return hit.name
     return f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(hit.stamp))} ({hit.name})"

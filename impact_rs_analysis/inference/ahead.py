@@ -13,7 +13,7 @@ the probability is
 
     p = F(b; nu + 1, (k - 1)^2 a^2) + F(b; nu + 1, (k + 1)^2 a^2),        b = (k^2 - 1) a^2
 
-of which the second term is that of the wrong one. Of a known noise l ~ N(+-g/2, g).
+whose second term is the probability of deciding for the wrong explanation. If the noise is known, l ~ N(+-g/2, g).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from impact_rs_analysis.inference.belief import Columns, fitted_out
 from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO
 from impact_rs_sim.robots.robot import Array
 
-MAX_SQUARED_DISTANCE = 1e6  # squared distance; beyond it everything is decided
+MAX_SQUARED_DISTANCE = 1e6  # [-]; beyond, every pair is decided
 
 
 def distance(information: Array, first: int, second: int, uncertain: Columns) -> float:
@@ -33,9 +33,9 @@ def distance(information: Array, first: int, second: int, uncertain: Columns) ->
 
     Args:
         information: Information matrix of all columns, ``(n, n)``.
-        first: Column of the one.
-        second: Column of the other.
-        uncertain: Columns of one standard deviation each.
+        first: Column of the first prediction.
+        second: Column of the second prediction.
+        uncertain: Columns of the uncertain parameters, each in standard deviations.
     """
     contrast = np.zeros(len(information))
     contrast[[first, second]] = 1.0, -1.0
@@ -47,7 +47,7 @@ def probability(gain: Array, freedom: float = np.inf) -> Array:
 
     Args:
         gain: Their squared distance g [-].
-        freedom: nu, degrees of freedom of the scatter; infinite: it is known; none: nothing is decided.
+        freedom: nu, degrees of freedom of the scatter; infinite: it is known; 0: no pair is decided.
     """
     half = np.sqrt(np.clip(gain, 0.0, MAX_SQUARED_DISTANCE)) / 2.0
     if freedom <= 0.0:
@@ -62,13 +62,13 @@ def probability(gain: Array, freedom: float = np.inf) -> Array:
 
 
 def promised(now: float, freedom: float, times: float, further: float) -> float:
-    """Probability p of several times the squared distance [-].
+    """Probability p after further trials, which multiply the squared distance [-].
 
     Args:
-        now: p as it is.
-        freedom: nu as it is.
+        now: Present p.
+        freedom: Present nu.
         times: Factor of the squared distance.
-        further: Further degrees of freedom.
+        further: Additional degrees of freedom.
     """
     if not 0.0 < now < float(probability(np.array(MAX_SQUARED_DISTANCE), freedom)):
         return now

@@ -6,14 +6,14 @@ The residual r of an observation, whitened by its noise (:mod:`.noise`), is line
     r = H x + noise,        cov(noise) = 1,        H = [J of some parameters | patterns P of the discrepancy]
 
 x holds changes of parameters from the point of the linearisation, in parameter scales, and the amplitudes of the
-discrepancy, standard normal before the first observation and the same for all observations of a group. A constant
-misfit of a group is so learnt, and is no parameter's. With information matrix and vector (Kalman filter in
-information form; Anderson and Moore 1979, *Optimal Filtering*, sec. 6.3)
+discrepancy, standard normal before the first observation and common to all observations of a group. A constant misfit
+of a group is thus attributed to the discrepancy and not to a parameter. With information matrix and vector (Kalman
+filter in information form; Anderson and Moore 1979, *Optimal Filtering*, sec. 6.3)
 
     L = L_0 + sum w H^T H,        h = h_0 + sum w H^T r,        x ~ N(L^-1 h, L^-1)
 
-with the weight w of an observation. To hold an observation out is to subtract it. Columns y that are fitted as well
-leave of the others the information (Schur complement)
+with the weight w of an observation. To hold an observation out is to subtract it. With columns y marginalised, the
+other columns x keep the information (Schur complement)
 
     L_xx - L_xy L_yy^-1 L_yx,        h_x - L_xy L_yy^-1 h_y
 """
@@ -63,11 +63,11 @@ class Observation:
 
 @dataclass
 class Belief:
-    """State x.
+    """Gaussian belief about the state x.
 
     Attributes:
-        parameters: Parameters that are part of it, by column of the sensitivities.
-        information: L, ``(n, n)``; first the parameters.
+        parameters: Parameters in the state, by column of the sensitivities.
+        information: L, ``(n, n)``; parameters first, then amplitudes.
         vector: h, ``(n,)``.
         groups: Columns of the amplitudes of each group.
     """
@@ -81,11 +81,11 @@ class Belief:
 
     @classmethod
     def of(cls, parameters: Sequence[int], deviations: Array) -> Belief:
-        """Before any observation.
+        """The prior belief.
 
         Args:
-            parameters: Those that are part of the state.
-            deviations: Standard deviation of each, in scales; infinite: nothing is known, ``(f,)``.
+            parameters: Parameters in the state.
+            deviations: Prior standard deviation of each, in scales; infinite: unknown, ``(f,)``.
         """
         return cls(tuple(parameters), np.diag(1.0 / np.square(deviations)), np.zeros(len(parameters)))
 
@@ -146,7 +146,7 @@ class Belief:
         return columns
 
     def predictive(self, observation: Observation) -> tuple[Array, Array]:
-        """Residual that the state leaves, ``(F,)``, and its covariance, ``(F, F)`` [-]."""
+        """Innovation (residual minus its mean prediction), ``(F,)``, and its covariance, ``(F, F)`` [-]."""
         columns, observed = self.observed(observation)
         whole_observed = np.zeros((len(self.vector), len(observation.residual)))
         whole_observed[columns] = observed.T
@@ -156,19 +156,19 @@ class Belief:
         return observation.residual - observed @ self.mean[columns], covariance
 
     def residual_of(self, observation: Observation) -> Array:
-        """Residual that the state leaves, ``(F,)`` [-]."""
+        """Residual after subtraction of the mean prediction, ``(F,)`` [-]."""
         columns, observed = self.observed(observation)
         return np.asarray(observation.residual - observed @ self.mean[columns])
 
     def observed(self, observation: Observation) -> tuple[Columns, Array]:
         """Columns of the state that an observation depends on, ``(m,)``, and H at them, ``(F, m)``."""
         followed = observation.jacobian[:, list(self.parameters)]
-        if observation.group not in self.groups:  # of which the state knows nothing
+        if observation.group not in self.groups:  # its amplitudes are not in the state yet
             return np.arange(len(self.parameters)), followed
         return self.columns(observation)[0], np.hstack((followed, observation.patterns))
 
     def of_parameters(self) -> tuple[Array, Array]:
-        """Information ``(f, f)`` and score ``(f,)`` of the parameters while the amplitudes are fitted."""
+        """Information ``(f, f)`` and score ``(f,)`` of the parameters, with the amplitudes marginalised."""
         count = len(self.parameters)
         marginal = fitted_out(self._joint, range(count, len(self.vector)))
         return marginal[:count, :count], marginal[:count, -1]
@@ -179,7 +179,7 @@ class Belief:
         return np.block([[self.information, self.vector[:, None]], [self.vector, np.zeros(1)]])
 
     def with_parameters(self, parameters: Sequence[int], fresh: Sequence[int], centre: Array, width: float) -> Belief:
-        """The same state with other parameters.
+        """The belief about a state with other parameters.
 
         Args:
             parameters: All parameters of the new state, including the present ones.
@@ -212,7 +212,7 @@ class Belief:
         amplitudes, memory = self.groups[group], math.sqrt(1.0 - share)
         unit = np.eye(amplitudes.stop - amplitudes.start)
         coupling, past = self.information[:, amplitudes].copy(), self.vector[amplitudes].copy()
-        coupling[amplitudes] = -memory / share * unit  # with the amplitudes as they will be
+        coupling[amplitudes] = -memory / share * unit  # with the new amplitudes a'
         eliminated = np.linalg.solve(self.information[amplitudes, amplitudes] + memory**2 / share * unit, coupling.T)
         self.information[amplitudes], self.information[:, amplitudes], self.vector[amplitudes] = 0.0, 0.0, 0.0
         self.information[amplitudes, amplitudes] = unit / share
@@ -222,12 +222,12 @@ class Belief:
 
 
 def fitted_out(information: Array, columns: Columns | Sequence[int], width: float = math.inf) -> Array:
-    """Schur complement: information of all columns with some of them fitted, ``(n, n)``; undefined at these themselves.
+    """Schur complement: information of all columns with some marginalised, ``(n, n)``; undefined in these columns.
 
     Args:
         information: L, ``(n, n)``.
-        columns: Those that are fitted.
-        width: Width of a further normal prior of each; infinite: none.
+        columns: Columns to marginalise.
+        width: Standard deviation of an additional normal prior of each; infinite: no prior.
     """
     chosen = np.array(columns, dtype=int)
     if not chosen.size:
@@ -239,12 +239,12 @@ def fitted_out(information: Array, columns: Columns | Sequence[int], width: floa
 
 
 def observation_of(item: Cluster, residual: Array, jacobian: Array, count: int) -> Observation:
-    """The mean of repeats of a condition, or a stretch or block.
+    """Observation of a cluster: the mean of the repeats of a condition, or a stretch or block.
 
     Args:
-        item: Its scatter, discrepancy and scale.
-        residual: Scaled, ``(F,)`` [-].
-        jacobian: Scaled features per parameter, ``(F, p)`` [-].
+        item: The cluster, with scatter, discrepancy and scale.
+        residual: Scaled residual, ``(F,)`` [-].
+        jacobian: Change of the scaled features by one scale of each parameter, ``(F, p)`` [-].
         count: Number of repeats.
     """
     whiten = noise_of(item).whitening(count)

@@ -10,8 +10,8 @@ half the relevance limit, and the part of the model discrepancy that no measured
 
     R = D ((1 - a) C + a I) D
 
-with their standard deviations D, their correlations C, and the share a of Schaefer and Strimmer (2005, *A shrinkage
-approach to large-scale covariance matrix estimation*), which is large where repeats are few beside features.
+with their standard deviations D, their correlations C, and the shrinkage intensity a of Schaefer and Strimmer (2005, *A
+shrinkage approach to large-scale covariance matrix estimation*), which is large for few repeats of many features.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from impact_rs_analysis.evidence.cluster import INDEPENDENT_DISCREPANCY_SHARE, Cluster
 from impact_rs_sim.robots.robot import Array
 
-MIN_VARIANCE_SHARE = 1e-9  # of the largest variance; a feature that never moves is no certainty
+MIN_VARIANCE_SHARE = 1e-9  # of the largest variance; a feature without scatter is not known exactly
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ def repeats_of(deviations: Array, freedom: int, stated: Array) -> Array:
 
     Args:
         deviations: Measured minus the mean of the condition, ``(n, F)``.
-        freedom: Degrees of freedom of them.
-        stated: Standard deviations that measurements state themselves, the least that is taken; 0: none, ``(F,)``.
+        freedom: Their degrees of freedom.
+        stated: Standard deviations stated with the measurements, a lower limit; 0: not stated, ``(F,)``.
     """
     spread = np.sqrt(np.sum(np.square(deviations), axis=0) / max(freedom, 1))
     scaled = deviations / np.where(spread > 0.0, spread, 1.0)
@@ -98,8 +98,7 @@ def deviations_of(residuals: Sequence[Array], conditions: Sequence[str], least: 
     Args:
         residuals: Residuals of every measurement, ``(F,)``.
         conditions: Condition of each; empty: it repeats nothing.
-        least: Degrees of freedom. Where repeats have fewer, measurements without a repeat are deviations from the mean
-            of them all.
+        least: Minimum degrees of freedom. If repeats have fewer, measurements without a repeat form one more group.
     """
     rows, names = np.array(residuals), np.array(conditions)
     repeated = [name for name in dict.fromkeys(conditions) if name and np.sum(names == name) > 1]

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Log likelihood ratios where the scale of the noise is estimated: Student's t in the place of the normal.
+"""Log likelihood ratios with an estimated scale of the noise: Student's t in place of the normal distribution.
 
-The scale of the noise is known from nu degrees of freedom. With a squared distance T of p numbers from their
-prediction and a determinant of their covariance, in units of the estimated noise, the log density is, up to a constant,
+The scale of the noise is estimated with nu degrees of freedom. With the squared Mahalanobis distance T of p numbers
+from their prediction, and the determinant of their covariance, in units of the estimated noise, the log density is, up
+to a constant,
 
     log t = -1/2 log det - (nu + p) / 2 log(1 + T / nu)
 
-With information I and score S of parameters that move by eta ~ N(0, W^2), their log likelihood ratio against none is
+With information I and score S of parameters that change by eta ~ N(0, W^2), the log likelihood ratio against no change
+is
 
     log LR = -1/2 log det(1 + W I W) + (nu + p) / 2 [log(1 + T_0 / nu) - log(1 + T_1 / nu)]
     T_0 = S^T I^-1 S,        T_1 = T_0 - S^T (I + W^-2)^-1 S
 
-(Student 1908; for a normal density nu is infinite). The mean of LR is 1 where nothing moved.
+(Student 1908; for a normal density nu is infinite). The mean of LR without a change is 1.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ import numpy as np
 from impact_rs_sim.robots.robot import Array
 
 DECISIVE_LIKELIHOOD_RATIO = 20.0  # likelihood ratio beyond which one explanation stands and the other does not
-MIN_INFORMATION_SHARE = 1e-9  # of the largest information; less is none
+MIN_INFORMATION_SHARE = 1e-9  # of the largest information; smaller eigenvalues are rounding errors
 
 
 def log_density(square: float, log_determinant: float, size: int, freedom: float) -> float:
@@ -39,12 +41,12 @@ def log_density(square: float, log_determinant: float, size: int, freedom: float
 
 
 def squared_distance(residual: Array, covariance: Array, inflation: float = 1.0) -> float:
-    """T of a residual ``(F,)`` with a covariance ``(F, F)``, times a factor of the variance [-]."""
+    """Squared Mahalanobis distance T of a residual ``(F,)`` with a covariance ``inflation`` times ``(F, F)`` [-]."""
     return float(residual @ np.linalg.solve(covariance, residual)) / inflation
 
 
 def log_ratio(explained: float, log_determinant: float, size: int, freedom: float) -> float:
-    """Log likelihood ratio of p parameters that explain a part of the squares and leave nothing that they could.
+    """Log likelihood ratio of p parameters at their best fit, from the fall of the squared residuals.
 
     Args:
         explained: T_0 - T_1 [-].

@@ -5,9 +5,9 @@ The residual torque of a reference is subtracted from the recorded torque, at th
 
     tau'(t) = tau(t) - (tau_r - tau_r,model)(t + s)
 
-Friction, offsets and wrong link parameters are in both recordings and cancel; the residual of tau' was added between
-them. Each recording is predicted along its own measured motion, so a small difference of the motions changes tau' only
-by the errors of the model. The shift s minimises the mean square distance of the positions.
+Friction, offsets and wrong link parameters are in both recordings and cancel; the residual of tau' arises from a change
+between the recordings. Each recording is predicted along its own measured motion, so a small difference of the motions
+changes tau' only by the errors of the model. The shift s minimises the mean square distance of the positions.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ def minus_references(
             reason = f"{mismatch}; the motion has {size:.3g} rad rms"
             if (speed := _speed_ratio_on_path(motion, references, MAX_DISTANCE_SHARE * size)) is not None:
                 reason = (
-                    f"one goes the same way {speed:.2g} times as fast; friction and inertial torques then differ, and "
-                    "their residuals do not cancel"
+                    f"one follows the same path {speed:.2g} times as fast; friction and inertial torques then differ, "
+                    "and their residuals do not cancel"
                 )
             raise InputError(
                 f"follows the motion of no recording of --minus ({reason}): record the same motion twice at the same "
@@ -102,13 +102,13 @@ def minus_references(
 
 
 def order_warning(recorded: Sequence[Array], subtracted: Sequence[Array]) -> str | None:
-    """Warning that a drift, as of friction while gears warm up, does not cancel; None: it does, or times are unknown.
+    """Warning that a drift (friction of warming gears) does not cancel; None: it cancels, or times are unknown.
 
-    A drift that is linear in time cancels if both kinds of recordings have the same mean time, as in the order ABBA.
+    A drift linear in time cancels if both kinds of recordings have equal mean times, as in the order ABBA.
 
     Args:
         recorded: Timestamps of the recordings, ``(k,)`` each [s].
-        subtracted: Those of the recordings of ``--minus``.
+        subtracted: Timestamps of the recordings of ``--minus``, likewise.
     """
     timestamps = [*recorded, *subtracted]
     if any(time[0] < MIN_WALL_CLOCK_S for time in timestamps):
@@ -121,8 +121,8 @@ def order_warning(recorded: Sequence[Array], subtracted: Sequence[Array]) -> str
     when = "later" if lag > 0.0 else "earlier"
     return (
         f"the recordings are on average {abs(lag) / 60.0:.3g} minutes {when} "
-        "than those of --minus: what drifts meanwhile, as friction while gears warm up, stays in the difference. The "
-        "order without, with, with, without cancels a linear drift"
+        "than the recordings of --minus: a drift meanwhile, as of friction while gears warm up, stays in the "
+        "difference. The order without, with, with, without cancels a linear drift"
     )
 
 
@@ -172,5 +172,5 @@ def _match(motion: Motion, number: int, reference: Motion) -> Match | None:
 
 
 def _at(moments: Array, time: Array, values: Array) -> Array:
-    """Columns of ``values`` at other times."""
+    """Columns of ``values`` interpolated at other times."""
     return np.column_stack([np.interp(moments, time, column) for column in values.T])

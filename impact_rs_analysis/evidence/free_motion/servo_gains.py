@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gains of servos that are known to some percent: nuisance parameters that every model is compared with.
 
-Where no torque was recorded, it is that of the servos with the gains of the mapping. A gain that is too high by s_j
-makes the torque of joint j too high by that share:
+Where no torque was recorded, it is computed by the law of the servos with the gains of the mapping. If a gain is too
+high by the share s_j, the torque of joint j is too high by the same share:
 
     tau_r = (1 + s_j) tau(theta) + tau_late,    s_j = 0 +- 0.3    (prior: one standard deviation)
 
-with tau_late of commands that act late (:mod:`impact_rs_analysis.evidence.free_motion.torque_balance`).
+with tau_late, the torque of late commands (:mod:`impact_rs_analysis.evidence.free_motion.torque_balance`).
 
-For every theta the s_j that minimise the residual are put in (variable projection: Golub and Pereyra 1973, SIAM J.
-Numer. Anal. 10), so that what cannot be distinguished from a gain, such as the mass of all links, changes nothing, and
-friction is known in proportion to the masses. Where a joint carries no torque but its friction, only the prior keeps
-both apart: it enters as measurements of s_j in the K stretches, whose mean is 0 and whose scatter is 0.3 sqrt(K), so
-that the mean has the standard deviation of the prior.
+For every theta the s_j minimise the residual (variable projection: Golub and Pereyra 1973, SIAM J. Numer. Anal. 10). A
+parameter that cannot be distinguished from a gain, such as the mass of all links, then changes no residual, and
+friction is known in proportion to the masses. Where a joint carries only friction torque, only the prior separates gain
+and friction: it enters as measurements of s_j in the K stretches with mean 0 and scatter 0.3 sqrt(K), so that their
+mean has the standard deviation of the prior.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class ServoGains:
 
     Args:
         recorded: Torque of the servos with the gains of the mapping, ``(k, m)`` [N m].
-        noise: Of every column, ``(m,)`` [N m].
+        noise: Noise of every column, ``(m,)`` [N m].
         stretches: Number of stretches K.
 
     Attributes:
@@ -41,8 +41,8 @@ class ServoGains:
         self._torque, self._penalty = recorded, np.square(np.maximum(noise, 1e-12) / GAIN_DEVIATION)
         joints = recorded.shape[1]
         self.noise = np.full(joints, GAIN_DEVIATION * np.sqrt(stretches))
-        turns = np.resize((1.0, -1.0), stretches)  # alternating, so that parts of the log have mean 0 as well
-        self.recorded = np.outer((turns - turns.mean()) / turns.std(), self.noise)
+        signs = np.resize((1.0, -1.0), stretches)  # alternating, so that parts of the log have mean 0 as well
+        self.recorded = np.outer((signs - signs.mean()) / signs.std(), self.noise)
 
     def fitted(self, torque: Array, late: Array) -> Array:
         """The s_j, ``(m,)`` [-].

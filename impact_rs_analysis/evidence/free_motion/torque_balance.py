@@ -4,29 +4,29 @@
     tau(t + delay) + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain
 
 with q and dq at t (cf. paper eq. eom); tau is the recorded torque, B is included only if it was measured at the motor.
-Positions, velocities and torques pass the same zero-phase low-pass (Butterworth, order 4, forwards and backwards),
+Positions, velocities and torques pass one zero-phase low-pass (Butterworth, order 4, forwards and backwards);
 accelerations are central differences of the filtered velocity at the rate of the samples. Prediction and recorded
-torque pass the low-pass once more; both ends are left out. Dry friction jumps where a joint reverses, which is not
-where its filtered velocity does: it is that of the unfiltered velocity at the rate of the samples, and passes the
-low-pass twice, as the recorded torque does. (The sign of the velocity below 3 Hz made the inertia of a motor 3 to 4 %
-too large in swings of up to 1.5 Hz.) A joint that rests at a reversal has the friction that holds it (Karnopp 1985, J.
-Dyn. Sys. Meas. Control 107), which is not modelled: the inertia of a motor is 1 to 2.6 % too large in the same swings,
-0.1 % with the true friction. A wider reversal does not describe such rest (1.1 and 2.6 % without, 1.1 and 2.7 % with a
-free width). Noise of the velocity has no part in it: the expectation of the sign under that noise changes the inertia
-by less than 0.2 %.
+torque pass the low-pass once more; both ends are left out.
+
+Dry friction jumps where a joint reverses. The filtered velocity reverses at another time, so dry friction is computed
+from the unfiltered velocity at the rate of the samples, and passes the low-pass twice, like the recorded torque. (With
+the sign of the velocity below 3 Hz the inertia of a motor was 3 to 4 % too large in swings of up to 1.5 Hz.) At a
+reversal a joint sticks for a moment (Karnopp 1985, J. Dyn. Sys. Meas. Control 107). Sticking is not modelled: it makes
+the inertia of a motor 1 to 2.6 % too large in these swings; with the true friction the error is 0.1 %. A wider reversal
+(a free width of the sign function) does not reduce this error, and noise of the velocity contributes less than 0.2 %.
 
 Where the motors have encoders of their own (theta), B and friction act on the motion of the motors, and the deflection
 of the transmission is a second signal without its mean, which is an offset of the encoders:
 
     tau_J = K (theta - q) + D (dtheta - dq) = M(q) ddq + h(q, dq) - loads on the links
 
-Without encoders the motion of the motors is q plus the predicted deflection, on which a torque measured at the motors
-depends.
+Without encoders the motion of the motors is q plus the predicted deflection; a torque measured at the motors depends on
+it.
 
 The noise is the power of torques and deflections just above the cut-off that is not coherent with the motion of the
 arm: a fast motion has power there.
 
-Where position servos drive the joints and no torque was recorded, tau is that of their law
+Where position servos drive the joints and no torque was recorded, tau is computed by their law
 (:mod:`impact_rs_trials.recordings.servo`). Commands that act late by d add to the prediction
 
     tau_servo(q_d(t)) - tau_servo(q_d(t - d))
@@ -64,12 +64,12 @@ MAX_SAMPLES_PER_PERIOD = 10.0  # of the cut-off frequency, on the grid
 EDGE_PERIODS = 2.0  # of the cut-off frequency, left out at both ends
 NOISE_BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
 MIN_SAMPLES_PER_BAND_PERIOD = 4.0  # of the upper end of the band
-MAX_FITTED_NOISE_SHARE = 0.5  # that the fit of the motion may take: a short recording has few independent numbers
+MAX_FITTED_NOISE_SHARE = 0.5  # degrees of freedom of the fit over independent numbers of a (short) recording
 # Quarter periods of the middle of the band: any linear law of one motion with slow coefficients.
 LAGS_QUARTER_PERIODS = (-2, -1, 0, 1, 2)
 MIN_COULOMB_SPEED = 0.02  # rad/s, m/s; below, Coulomb friction is not full
-MOTOR_RATIO_RANGE = (0.5, 2.0)  # motion of a motor, seen at the joint, over that of the link; elastic or not
-CACHED_DELAYS = 8  # of commands, whose torques are kept
+MOTOR_RATIO_RANGE = (0.5, 2.0)  # motion of a motor, seen at the joint, over the motion of the link; elastic or not
+CACHED_DELAYS = 8  # delays of commands whose torques are cached
 MAX_CACHED_REGRESSORS = 2  # of the model, and of another direction of gravity
 
 
@@ -103,7 +103,7 @@ class ServoMotion:
         return _low_passed_twice(torque, self.cut_off, 1.0 / float(self.time[1] - self.time[0]), self.stride)
 
     def delay_loss(self, delay: float) -> Array:
-        """Torque by the stamps of the commands minus that of late commands, low-passed twice, ``(k, n)`` [N m]."""
+        """Torque of punctual minus torque of late commands, low-passed twice, ``(k, n)`` [N m]."""
         return self._delay_losses.of(delay, lambda: self.torque(0.0) - self.torque(delay))
 
     @cached_property
@@ -131,8 +131,8 @@ class Motion:
         measured: Whether the torque of a joint was measured, ``(n,)``; one that never changes was not.
         cut_off: Cut-off frequency of the low-pass [Hz].
         rate: Sampling rate of the grid [Hz].
-        unfiltered: dq minus its low-passed values at the rate of the samples, ``stride`` rows per row of the others but
-            the last, ``(stride (k - 1) + 1, n)`` [rad/s].
+        unfiltered: High-frequency part of dq (dq minus its low-passed values) at the rate of the samples,
+            ``(stride (k - 1) + 1, n)`` with ``stride`` samples per sample of the other signals [rad/s].
         servo: Servos from whose law the torque was computed; None: it was recorded.
     """
 
@@ -338,7 +338,7 @@ def motor_positions(arm: ArmSignals) -> Array:
 
 
 def motor_ratios(arm: ArmSignals) -> Array:
-    """Motion of every motor over that of its link, rms, ``(n,)`` [-]; NaN where a joint does not move."""
+    """Ratio of motor motion to link motion, rms, by joint, ``(n,)`` [-]; NaN where a joint does not move."""
     moved = arm.position.std(axis=0)
     return np.asarray(arm.motor_position.std(axis=0) / np.where(moved > 0.0, moved, np.nan))
 
@@ -351,7 +351,7 @@ def _noise(raw: Array, moved: Array, turning: Array, cut_off: float, rate: float
     Piersol 2010, sec. 6). The median over short windows is robust to reversals, where dry friction jumps.
 
     Args:
-        raw: Recorded signals, ``(k, n)``; NaN where there is none.
+        raw: Recorded signals, ``(k, n)``; NaN where a signal is missing.
         moved: Positions of all joints and motors, ``(k, m)`` [rad].
         turning: Direction in which every joint is driven against its friction, ``(k, n)`` [-].
         cut_off: Cut-off frequency of the low-pass [Hz].
@@ -495,7 +495,7 @@ class TorqueBalance:
         return rows
 
     def delay_loss(self, physics: Physics) -> Array:
-        """Part of :meth:`predict` by which commands of servos that act late change their torque, ``(k, m)`` [N m]."""
+        """Part of :meth:`predict` from late commands of servos, ``(k, m)`` [N m]."""
         arm = physics.arms[ARM]
         delay = arm.actuation_delay + arm.readings.command_delay
         return np.concatenate(
@@ -546,29 +546,29 @@ class TorqueBalance:
         key = model.pinocchio.gravity.linear.tobytes()
         if key not in self._regressors:
             while len(self._regressors) >= MAX_CACHED_REGRESSORS:
-                self._regressors.pop(list(self._regressors)[1])  # the first is that of the model
+                self._regressors.pop(list(self._regressors)[1])  # the first belongs to the model
             self._regressors[key] = [
                 np.array(
                     [
                         pin.computeJointTorqueRegressor(model.pinocchio, model.data, *state)
                         for state in zip(motion.position, motion.velocity, motion.acceleration, strict=True)
                     ]
-                ).reshape(*motion.position.shape, parameters.size)  # of one joint Pinocchio makes a vector
+                ).reshape(*motion.position.shape, parameters.size)  # for one joint Pinocchio returns a vector
                 for motion in self.motions
             ]
         return [regressor @ parameters for regressor in self._regressors[key]]
 
     def _transmitted_torques(self, physics: Physics, number: int, rigid: Array) -> Array:
-        """Torques of the transmissions on the links: those of the rigid model less loads on the links, ``(k, n)``."""
+        """Torques of the transmissions on the links: rigid-body torque minus loads on the links, ``(k, n)`` [N m]."""
         if not physics.arms[ARM].loads:
             return rigid
         return rigid - self._load_torques(physics, number, rigid, links_alone=True)
 
     def _load_torques(self, physics: Physics, number: int, rigid: Array, links_alone: bool = False) -> Array:
-        """Torques of loads outside the rigid model on links, and unless these are wanted alone on motors [N m].
+        """Torques of loads outside the rigid model: on links, and unless ``links_alone`` on motors, ``(k, n)`` [N m].
 
-        The transmitted torque in a law is the predicted torque of the links: the recorded one contains the friction of
-        the motor and the noise of the signal that the law has to explain.
+        A law of the transmitted torque gets the predicted torque of the links: the recorded torque contains the
+        friction of the motor, and the noise of the signal that the law has to explain.
         """
         state, jacobian = self._states(physics)[number]
         on_links, on_motors = physics.arms[ARM].load_torques(replace(state, joint_torque=rigid), jacobian)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorded velocity against the derivative of the recorded position, in which the model of the arm has no part.
+"""Recorded velocity against the derivative of the recorded position, independent of the model of the arm.
 
 With the readings q_r = s q + o and v_r = s s_v dq(t - d), filtered (:mod:`impact_rs_sim.readings`), and without a lag
 of the velocity,
@@ -12,7 +12,7 @@ whatever the arm. Features are the projections of v_r on w = dq_r/dt and on w = 
 
 with N samples in K stretches. Their mean over the stretches is the gain times the rms of dq_r/dt, and minus the delay
 times the rms of d2q_r/dt2 (the normal equations of v = s_v dq_r/dt - d d2q_r/dt2). Their noise is the scatter over the
-stretches that no gain and no delay explains, and ``NOISE_FLOOR_SHARE`` of a noticeable change, added in quadrature.
+stretches unexplained by a gain and a delay, and ``NOISE_FLOOR_SHARE`` of a noticeable change, added in quadrature.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ def obliqueness_of(physics: Physics, states: Mapping[str, ArmState], box: BodySt
             continue
         pad = placements[meeting.partner] * physics.pads[meeting.partner].end_effector.pad_placement
         face = _nearest_face(box, meeting.normal)
-        for direction in (pad.rotation[:, 2], twists[meeting.partner][:3]):  # of a pad at rest the normal alone
+        for direction in (pad.rotation[:, 2], twists[meeting.partner][:3]):  # at rest the second angle is 0
             angles.append(float(np.arctan2(np.linalg.norm(np.cross(direction, face)), direction @ face)))
     return max(angles)
 
@@ -89,7 +89,7 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
         for meeting in contact_pairs(physics, box, placements)
         if meeting.partner != SUPPORT
     ]
-    # Trackers err by millimetres and the pad is soft: at the impact pad and object are made to touch.
+    # Trackers err by millimetres and the pad is soft: the object is shifted until pad and object touch.
     touching = replace(box, position=box.position + np.mean(shifts, axis=0))
     return ImpactProblem(
         physics=physics,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of another controller: reading, and the offset of the clock of their commands from that of the joints."""
+"""Runs of another controller: reading, and the offset between the clocks of commands and joints."""
 
 from __future__ import annotations
 
@@ -105,8 +105,8 @@ def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
 def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
     """Offset of an arm's commands after their timestamps, and its standard error [s].
 
-    An offset above the limit is a delay of commands or torques, which the diagnosis names; the clock then keeps its
-    prior uncertainty.
+    An offset above the limit is a delay of commands or torques, which is left to the diagnosis; the clock then keeps
+    its prior uncertainty.
 
     In free motion the motor-side balance of a window is
 
@@ -117,20 +117,22 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
     not used for that joint, because the sign of its dry friction changes. Runs in free motion are preferred, because
     there are few windows before an impact.
 
-    Returned are posterior mean and standard deviation of delta, with a uniform prior over half a sampling period either
-    way.
+    The prior of delta is uniform over half a sampling period either way.
 
     Args:
         runs: Runs of one laboratory.
         name: Name of the arm.
+
+    Returns:
+        Posterior mean and standard deviation of delta.
     """
     chosen = [run for run in runs if run.commanded and not run.hit] or [run for run in runs if run.commanded]
     rows: dict[int, list[Array]] = {}
     for run in chosen:
         starts = free_starts(run, {}) if not run.hit else free_starts(run, _rough_impact(run))
         for start in (start for start in starts if recorded(run, start)):
-            terms, turns = _window_terms(run, name, run.signals.arms[name], start)
-            for joint in np.flatnonzero(np.logical_not(turns)).tolist():
+            terms, reverses = _window_terms(run, name, run.signals.arms[name], start)
+            for joint in np.flatnonzero(np.logical_not(reverses)).tolist():
                 rows.setdefault(joint, []).append(terms[joint])
     tables = [np.array(windows) for windows in rows.values() if len(windows) >= MIN_WINDOWS_OF_JOINT]
     if not tables:
@@ -159,7 +161,7 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
 
 
 def _rough_impact(run: Run) -> dict[str, float]:
-    """Rough time of the impact by arm: where joint velocities change fastest."""
+    """Rough time of the impact by arm: the fastest change of a joint velocity."""
     change = np.max([np.abs(np.diff(arm.velocity, axis=0)).max(axis=1) for arm in run.signals.arms.values()], axis=0)
     return {name: float(run.signals.time[int(np.argmax(change))]) for name in run.signals.arms}
 
@@ -178,18 +180,17 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[A
     model, stacked = run.physics.robot_model(name), ArmSignals.stack([cut])
     balances = FreeBalances.of(time[rows], stacked, physics, model, run.motor_measured)
     begin, end = balances.middle
-    (ramp,), (passed,) = balances.acceleration, balances.transmitted
+    (acceleration,), (transmitted,) = balances.acceleration, balances.transmitted
     sent, values = arm.command_time, arm.command
     torque = _held_mean(sent, values, begin, end)
     slope = (
         _held_mean(sent, values, end - SLOPE_AVERAGING_S, end + SLOPE_AVERAGING_S)
         - _held_mean(sent, values, begin - SLOPE_AVERAGING_S, begin + SLOPE_AVERAGING_S)
     ) / (end - begin)
-    balance = torque - passed - physics.motor_inertia_reduced * ramp
+    balance = torque - transmitted - physics.motor_inertia_reduced * acceleration
     speed = cut.velocity.mean(axis=0)
-    # A delay delta lowers the mean of the command by delta times its slope.
-    turns = np.min(cut.velocity, axis=0) * np.max(cut.velocity, axis=0) < 0.0
-    return np.column_stack((balance, slope, np.sign(speed), speed, torque, ramp)), turns
+    reverses = np.min(cut.velocity, axis=0) * np.max(cut.velocity, axis=0) < 0.0
+    return np.column_stack((balance, slope, np.sign(speed), speed, torque, acceleration)), reverses
 
 
 def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:

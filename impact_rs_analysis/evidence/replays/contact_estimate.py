@@ -6,12 +6,13 @@ reading y, corrected by an effect with parameters v. With the distance d_i at th
 
     minimise  sum_i (d_i(y_i, v) / s_d)^2 + sum_k ((v_k - nominal_k) / (w s_k))^2
 
-where s_k is the scale of parameter k. The second sum keeps what the impacts do not determine at its nominal value, as a
-shift along the face (ridge regression). In units of w s_k the covariance is (J^T J / f + I)^-1, with the sensitivity J
-of the first terms and f, their sum of squares over N - p for N impacts and p parameters, at least 1.
+where s_k is the scale of parameter k. The second sum (ridge regression) keeps parameters that the impacts do not
+determine, such as a shift along the face, at their nominal values. In units of w s_k the covariance is
+(J^T J / f + I)^-1, with the sensitivity J of the first terms and f, their sum of squares over N - p for N impacts and p
+parameters, at least 1.
 
-Without such an estimate, a frame that is off by more than the pad moves before the impact puts object and pad into each
-other at the start of a replay, and sensitivities there say nothing; or the replay misses the object.
+Without such an estimate, a wrong frame may put the pad inside the object at the start of a replay, where sensitivities
+are meaningless, or the replay misses the object.
 """
 
 from __future__ import annotations
@@ -69,8 +70,8 @@ class ContactEstimate:
 def contact_starts(effect: Effect, runs: Sequence[MeasuredRun]) -> list[Array]:
     """Starts of a fit, ``(p,)`` each: parameters of one unit alone, as a shift or a turn, and all together.
 
-    Objects in one direction move alike with a shift and with a turn of the frame, and the descent from a mixture of
-    both may end beside the optimum.
+    A shift and a turn of the frame move objects in one direction alike, and a descent from a mixture of both may miss
+    the optimum.
     """
     units = [scalar.unit for scalar in effect.scalars(ONE_JOINT)]
     kinds = list(dict.fromkeys(units))
@@ -86,11 +87,11 @@ def contact_estimate(
 
     Args:
         effect: The frame of the tracker, the tracked point, or the position of the pad.
-        runs: Runs; those without an impact or without tracking say nothing.
+        runs: Runs; runs without an impact or without tracking are not used.
         free: Parameters that are estimated, by index; None: all. The others keep their nominal value.
 
     Returns:
-        The estimate; None where pads and objects touch as the readings are, or where there is no impact.
+        The estimate; None if pads and objects touch already with the nominal parameters, or without an impact.
     """
     impacts = [
         (run.setup.physics, run.setup.windows[-1].object, placements)
@@ -119,7 +120,7 @@ def contact_estimate(
 
 
 def _placements(run: MeasuredRun) -> Mapping[str, pin.SE3]:
-    """Frames E in A at the impacts of the arms, of those that meet the object where it was at rest."""
+    """Frames E in A at the impacts of the arms that meet the object at rest, by arm."""
     first = min(run.impacts.values(), default=0.0)
     joints = run.signals.arms
     return {

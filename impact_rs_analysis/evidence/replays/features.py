@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Features of windows: measurement and replay reduced to the same numbers.
+"""Features of windows, to which measurement and replay are reduced.
 
 Torques enter as balances that are zero for the nominal rigid model, so that small differences of the path cancel:
 
@@ -160,7 +160,7 @@ def extract(
         dynamics = Balances(last.time, last.arms[name], commands[-1].get(name), physics, model, motor)
         onset = onsets_of(last.time, dynamics.twists[..., :3], levels[name])
         onsets.append(onset)
-        # A simulation without an impact has no features; those at some other time keep the arrays whole.
+        # A simulation without an impact has no features; features at an arbitrary time keep the arrays rectangular.
         onset = np.where(np.isfinite(onset), onset, last.time[0] - JUMP_BEFORE_S[0])
         parts += _impact_features(onset, dynamics)
         parts += _push_features(onset, dynamics, pushes or 0)
@@ -300,7 +300,7 @@ def _momenta(model: RobotModel, arm: ArmSignals, rows: NDArray[np.intp] | slice)
 
 
 def _middle(start: Array, end: Array) -> tuple[Array, Array]:
-    """Effective limits of a bin [s]: momentum is averaged over its ends, so it refers to their middles."""
+    """Effective limits of a bin [s]: momentum is averaged over both ends of a bin, and refers to their middles."""
     return start + 0.5 * BIN_EDGE_S, end - 0.5 * BIN_EDGE_S
 
 
@@ -411,7 +411,7 @@ class Balances:
         time: Ticks, ``(k,)`` [s].
         arm: Measured or simulated, ``(B, k, n)``.
         command: Desired torque, ``(k, n)`` [N m]; None: not known.
-        physics: Nominal, of the drives.
+        physics: Nominal physics of arm and drives.
         model: Nominal rigid-body model.
         motor: Whether motor position and velocity are used.
     """
@@ -453,7 +453,7 @@ class Balances:
     def wrench_at(self, moments: Array, balances: Array) -> Array:
         """Contact wrench of the arm on its environment from link-side balances, at E in E[A], ``(B, w, 6)`` [N, N m].
 
-        That of the nominal arm; see :func:`impact_rs_control.detection.separable_wrench`.
+        With the nominal arm; see :func:`impact_rs_control.detection.separable_wrench`.
 
         Args:
             moments: Time of the configuration in each simulation, ``(B, w)`` [s].

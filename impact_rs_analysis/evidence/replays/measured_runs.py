@@ -97,7 +97,7 @@ class Setup:
         return self._part(contact=False)
 
     def _part(self, contact: bool) -> Setup:
-        """The window about the impact, or those of free motion, with their features."""
+        """The window about the impact, or the windows of free motion, with their features."""
         windows = tuple(window for window in self.windows if window.contact == contact)
         part_features = [index for index, feature in enumerate(self._layout) if (feature.phase != "free") == contact]
         used = tuple(part_features.index(index) for index in self.used if index in part_features)
@@ -107,9 +107,9 @@ class Setup:
 
     @cached_property
     def parts(self) -> tuple[tuple[Setup, NDArray[np.intp]], ...]:
-        """Free motion and contact apart, each with the places of its features: what acts in one may not in the other.
+        """Free motion and contact as separate setups, each with the indices of its features.
 
-        The windows of a replay do not depend on each other.
+        The windows of a replay do not depend on each other, and an effect may act in one part only.
         """
         contact = np.array([self._layout[number].phase != "free" for number in self.used])
         if np.all(contact == contact[:1]):
@@ -123,7 +123,7 @@ class Setup:
 
     @property
     def _layout(self) -> tuple[Feature, ...]:
-        """Every feature of its windows, those that are not used included."""
+        """Every feature of its windows, used or not."""
         free = sum(not window.contact for window in self.windows)
         return layout(self.physics.arm_joints, free, self.pushes, self.drive == "command", self.motor, self.bodies)
 
@@ -140,7 +140,7 @@ class Setup:
     def features_of_all(self, simulations: Sequence[Sequence[Signals]]) -> list[Array | None]:
         """Features of several simulations of its windows, ``(F,)`` each; None without an expected impact.
 
-        Those of an unstable simulation are not a number.
+        Features of an unstable simulation are NaN.
         """
         stable = [all(map(_finite, windows)) for windows in simulations]
         if not all(stable):
@@ -234,7 +234,7 @@ class MeasuredRun(Run):
         )
         size = Proportion.of(run.physics)
         features = tuple(replace(f, relevance_limit=f.relevance_limit * size.factor(f.unit)) for f in features)
-        if run.gaps:  # windows at the same place of the motion have the same name in every repeat
+        if run.gaps:  # a window keeps its number among all windows, so that repeats agree
             features = tuple(replace(f, bin=numbers[f.bin]) if f.phase == "free" else f for f in features)
         setup = Setup(
             windows=tuple(windows),
@@ -319,10 +319,10 @@ class Runs:
         runs: Measured runs; repeats of a condition have the same features.
         skipped: Path and reason of every bag that cannot be used.
         remarks: Remarks on how they were read.
-        clock: See :class:`~impact_rs_analysis.evidence.cluster.Source` [s].
+        clock: See :class:`~impact_rs_analysis.evidence.source.Source` [s].
         late: By condition, its first run with commands that act one standard deviation of their clock later; empty if
             the clock is known.
-        part: Whether runs of the folder were left out on request.
+        part: Whether the user left out runs of the folder.
     """
 
     directory: Path
@@ -343,7 +343,7 @@ class Runs:
 
     @property
     def recorded(self) -> float | None:
-        """When the last of the trials was recorded, simulated or not, seconds since 1970; None: not known."""
+        """Time of the last trial, simulated or not, seconds since 1970; None: not known."""
         stamps = (stamped_at(run.path) if run.recorded is None else run.recorded for run in self.runs)
         return max((stamp for stamp in stamps if stamp is not None), default=None)
 

@@ -7,7 +7,7 @@ No controller is modelled, so runs of any controller can be replayed. Two drives
     joint torque    recorded tau_J applied to the links; covers links, contact and object only
 
 Windows are stretches of free motion, and one about the impact. Their start is a local fit to the measurement: q and dq
-together (cubic), and tau_J (quadratic), from which the motor state follows by the joint elasticity,
+jointly (cubic), and tau_J (quadratic). The motor state follows from the joint elasticity,
 
     theta = q + tau_J / K,    dtheta = dq + dtau_J / K                                     (paper eq. EOM_motor)
 
@@ -55,7 +55,7 @@ class Window:
 
     Attributes:
         contact: Whether it contains the impact.
-        number: Index among all windows of free motion, including those with gaps; 0 for the one about the impact.
+        number: Index among all windows of free motion, with gaps or not; 0 for the window about the impact.
         time: Ticks, ``(k,)`` [s].
         arms: Joint states at its start.
         drives: State of the drives at its start.
@@ -63,9 +63,9 @@ class Window:
         torque: By arm, driving torques in the order in which they act, ``(m, n)`` [N m].
         acting: By arm, row of ``torque`` in every period of the torque loop, ``((k - 1) s,)``.
         tracked_times: Times at which the object was tracked, ``(m,)`` [s].
-        neighbour_times: Likewise its neighbours, by name.
+        neighbour_times: Times at which its neighbours were tracked, by name.
         before: By arm, samples from the begin of the run to the start (:attr:`TwinJob.before`).
-        from_velocity: By arm, what velocity readings, their slopes and their curvatures contribute to position and
+        from_velocity: By arm, contributions of velocity readings, their slopes and their curvatures to position and
             velocity of the start, ``(3, 2, n)`` [rad and rad/s over s^0, s^1, s^2].
         velocity: By arm, reading of the velocity at the start and its slope, ``(2, n)`` [rad/s, rad/s^2].
         age: Time of the run since the first one of the campaign [s].
@@ -104,7 +104,7 @@ class Window:
 
 
 def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
-    """Windows of a run: those of free motion, then the one about the impact.
+    """Windows of a run: windows of free motion, then the window about the impact.
 
     Args:
         run: The run.
@@ -162,7 +162,7 @@ def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
 
 
 def _window(run: Run, start: float, end: float, box: BodyState, number: int | None) -> Window:
-    """Window of free motion; without a number, the one about the impact."""
+    """Window of free motion; without a number, the window about the impact."""
     contact = number is None
     time = run.signals.time
     first, last = (int(np.argmin(np.abs(time - moment))) for moment in (start, end))
@@ -187,9 +187,8 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
             torques[name] = np.column_stack([np.interp(ends, time, column) for column in arm.torque.T])
             acting[name] = np.arange(grid.size, dtype=np.int32)
         drives[name] = DriveStart(torque, rate, earlier)
-    tracked, beside = _within_ticks(run.signals.object_time, ticks, contact), {}
-    for name, poses in run.signals.neighbours.items():
-        beside[name] = _within_ticks(poses.time, ticks, contact)
+    tracked = _within_ticks(run.signals.object_time, ticks, contact)
+    neighbours = {name: _within_ticks(poses.time, ticks, contact) for name, poses in run.signals.neighbours.items()}
     return Window(
         contact,
         number or 0,
@@ -203,7 +202,7 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
         before,
         from_velocity,
         velocity,
-        neighbour_times=beside,
+        neighbour_times=neighbours,
     )
 
 
@@ -262,9 +261,10 @@ def _near(time: Array, moment: float) -> slice:
 
 
 def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> tuple[Array, Array, Array, Array]:
-    """q and dq at a moment, ``(n,)`` each, by one cubic of both, each weighted by its own noise.
+    """q and dq at a moment, ``(n,)`` each, by one cubic fitted to both, weighted by their inverse noise.
 
-    Behind them :attr:`Window.from_velocity` and :attr:`Window.velocity`.
+    Returns:
+        q, dq, :attr:`Window.from_velocity` and :attr:`Window.velocity`.
     """
     rows = _near(time, moment)
     t = time[rows] - moment
@@ -376,7 +376,7 @@ def _true_drive(window: Window, name: str, readings: ArmReadings) -> DriveStart:
 
 
 def _true_command(window: Window, name: str, readings: ArmReadings) -> Array:
-    """Desired torque that acts in every period of the torque loop, ``(s, n)`` [N m], from what was sent when."""
+    """Desired torque in every period of the torque loop, ``(s, n)`` [N m], from the commands and their delay."""
     acting = window.torque[name][window.acting[name]]
     if readings.command_delay == 0.0:
         return acting

@@ -29,7 +29,7 @@ MIN_BATCHES = 16  # so that workers finish at about the same time
 _models_lock = threading.Lock()  # rigid-body models, which features share, are not thread-safe
 
 Progress = Callable[[str, int, int], None]
-Key = tuple[str, str, Added]  # digests of start and model, and the effects: all that a replay depends on
+Key = tuple[str, str, Added]  # digests of start and model, and the effects, which determine a replay
 
 Item = TypeVar("Item")
 Output = TypeVar("Output")
@@ -116,7 +116,7 @@ def _batches(missing: Iterable[Replay]) -> list[tuple[Replay, ...]]:
 
 
 def _joined(setup: Setup, parts: Sequence[Array | None]) -> Array | None:
-    """Features of a replay from those of its parts; None if one of them has none."""
+    """Features of a replay from the features of its parts; None if a part has no features."""
     joined = np.empty(len(setup.used))
     for (_, rows), values in zip(setup.parts, parts, strict=True):
         if values is None:
@@ -130,7 +130,7 @@ class ReplayCache:
 
     Args:
         map_tasks: Parallel map.
-        progress: Called with (what, done, total) while a batch runs.
+        progress: Called with (purpose, done, total) while a batch runs.
     """
 
     def __init__(self, map_tasks: Map, progress: Progress | None = None) -> None:
@@ -171,7 +171,7 @@ class ReplayCache:
         ]
 
     def _parts(self, task: Replay, model: str) -> dict[Key, Replay]:
-        """Free motion and contact of a replay, each with the effects that act there, by all that they depend on.
+        """Free motion and contact of a replay, each with the effects that act in it, by their cache keys.
 
         Args:
             task: The replay.
@@ -184,7 +184,7 @@ class ReplayCache:
         return parts
 
     def _acts(self, model: Model, digest: str, effect: str, part: Setup) -> bool:
-        """Whether an effect acts in a part; those that only tables of impacts have act in none."""
+        """Whether an effect acts in a part; effects of tables of impacts act in no replay."""
         if (digest, effect) not in self._phases:
             self._phases[digest, effect] = model.known_effects[effect].phases
         phases = self._phases[digest, effect]

@@ -3,9 +3,9 @@
 
 Stretches last about a second, longer than the correlation time of the low-passed torque noise. Torques are divided by
 the root mean square of the residual of their joint, so that all joints have equal weight; the pure error is the noise
-of the recorded torque below the cut-off. The gain of an effect is also compared with the residual of each joint, whose
-noise is not known. The scale of each joint's torque is confounded with a payload and enters as a systematic error. A
-scale that follows from estimated gains of servos is fitted with every model
+of the recorded torque below the cut-off. The improvement by an effect is also judged joint by joint, because the noise
+of each joint is unknown. The scale of each joint's torque is confounded with a payload and enters as a systematic
+error. A scale that follows from estimated gains of servos is fitted with every model
 (:mod:`impact_rs_analysis.evidence.free_motion.servo_gains`).
 """
 
@@ -74,8 +74,8 @@ from impact_rs_trials.runs import Run
 from impact_rs_trials.workers import Map
 
 TARGET_STRETCHES = 24  # more in a recording that is longer than 24 times MAX_STRETCH_S
-MAX_STRETCH_S, MIN_STRETCH_S = 2.0, 0.5  # the noise remembers less than the shorter
-CLIPPING_ITERATIONS = 10  # of densities of information, until they settle
+MAX_STRETCH_S, MIN_STRETCH_S = 2.0, 0.5  # longer than the correlation time of the noise
+CLIPPING_ITERATIONS = 10  # of densities of information, until they converge
 MIN_MOVING_SPEED = 0.05  # rad/s, m/s
 TORQUE, DEFLECTION, POSITION_SLOPE, SERVO_GAIN = "torque", "deflection", "velocity of positions", "gain of the servo"
 PHASES = ("moving up", "moving down", "slow")
@@ -83,27 +83,29 @@ LEVEL_TEXT = "torque balance of the arm in free motion, both sides low-passed"
 CACHED_TORQUES_BYTES = 2**28
 MIN_CACHED_TORQUES = 64  # predictions that one linearisation needs
 TORQUE_SCALE_DEVIATION = {"link": 0.01, "motor": 0.02}  # over the torque; torque sensors of arms: 1 to 2 %
-# Without a command, faults of torque sensor and motor are confounded: torque_gain and torque_offset stand for both.
+# Without a command, faults of torque sensor and motor are confounded: torque_gain and torque_offset represent both.
 CONFOUNDED_WITH_MOTOR_FAULTS = (TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET)
-# No command was recorded, a deflection is known up to its mean, and the age of the arm is that of the recording.
+# No command was recorded, a deflection is known up to its mean, and all samples have one age.
 UNIDENTIFIABLE_FAULTS = (COMMAND_CLOCK_OFFSET, MOTOR_ENCODER_OFFSET, TORQUE_SENSOR_DRIFT)
 SERVO_WITHOUT_SENSOR = (
     TORQUE_DELAY,
     TORQUE_SENSOR_LAG,
     TORQUE_SENSOR_BUTTERWORTH,
-)  # a torque that was computed passed no sensor
-TORQUE_SENSOR_FAULTS = (TORQUE_SENSOR_CROSSTALK,)  # strain gauges feel their neighbours' loads, currents do not
-# Derivatives of positions have none.
+)  # a computed torque passed no sensor
+TORQUE_SENSOR_FAULTS = (
+    TORQUE_SENSOR_CROSSTALK,
+)  # strain gauges react to loads of neighbouring joints, currents do not
+# Not for velocities that were derived from positions.
 VELOCITY_SENSOR_FAULTS = (VELOCITY_LAG, VELOCITY_BUTTERWORTH, VELOCITY_DELAY, VELOCITY_GAIN)
-MIN_NOISE_SHARE = 0.01  # of the residual of a model, below which another error than noise remains
+MIN_NOISE_SHARE = 0.01  # noise over residual of a model, lower limit
 TORQUE_UNIT = "N m"  # of a revolute joint
-TORQUE_QUANTILE = 0.99  # that stands for the largest torque: a few samples may be outliers
+TORQUE_QUANTILE = 0.99  # in place of the largest torque: a few samples may be outliers
 MIN_SAMPLES_OF_PHASE = 5  # of one joint; fewer are not reported
 
 REMARKS = (
     "a recording is one condition: stretches of it are held out, so estimates are not tested at other speeds, poses or "
     "temperatures",
-    "without repeats there is no pure error: the noise is that of the torque signal, and residuals above it need not "
+    "without repeats there is no pure error: noise means noise of the torque signal, and residuals above it need not "
     "come from an effect of the library",
 )
 DIFFERENCE_REMARK = (
@@ -112,8 +114,8 @@ DIFFERENCE_REMARK = (
     "unless --model contains the gain (diagnose the recording without the load first)"
 )
 INTERVALS_REMARK = (
-    "intervals count the scatter over the motion and a standard deviation of {scale:.0%} of the scale of each joint's "
-    "torque; links of the model count as exact"
+    "intervals include the scatter over the motion and a standard deviation of {scale:.0%} of the scale of each "
+    "joint's torque; links of the model are taken as exact"
 )
 MOTOR_ENCODERS_REMARK = (
     "the motors of joints {joints} have encoders: their inertia and friction act on the motion of the motors, and the "
@@ -121,8 +123,8 @@ MOTOR_ENCODERS_REMARK = (
 )
 MOTORS_UNUSED_REMARK = "motor_position is not used: in a difference of recordings the motion of the motors cancels"
 FITTED_GAINS_REMARK = (
-    "intervals count the scatter over the motion and the gains of the servos, which are fitted with every model; links "
-    "of the model count as exact"
+    "intervals include the scatter over the motion and the gains of the servos, which are fitted with every model; "
+    "links of the model are taken as exact"
 )
 NO_MOTOR_ENCODERS_REMARK = (
     "no motor has an encoder of its own: the elasticity of a transmission shows only in the torque of its motor, and "
@@ -130,18 +132,20 @@ NO_MOTOR_ENCODERS_REMARK = (
 )
 LINK_TORQUE = "the torque was measured behind the motors, so their inertia is not in it"
 MOTOR_TORQUE = (
-    "the torque is that of the motors, before the gear: it accelerates their inertia and moves their friction"
+    "the torque was measured at the motors, before the gear: it accelerates their inertia and overcomes their friction"
 )
-CURRENT_TORQUE = "the torque is motor current times torque_constant: it accelerates the motors and moves their friction"
+CURRENT_TORQUE = (
+    "the torque is motor current times torque_constant: it accelerates the motors and overcomes their friction"
+)
 ADDED = {
     "whole": "",
     "without_gravity": "; it was recorded without gravity, and the gravity torque of the nominal model is added",
-    "external": "; it was recorded without the whole torque of a rigid model, and that of the nominal model is added: "
-    "an error of the links shows as far as the two models differ",
+    "external": "; it was recorded minus the torque of a rigid model, and the torque of the nominal model is added: an "
+    "error of the links shows as far as the two models differ",
     "target": "",
 }
-ADDED_TO_SERVO = "; their controller adds the gravity torque, for which that of the nominal model is taken"
-SERVO_TORQUE = "no torque was recorded: it is that of position servos, {law}"
+ADDED_TO_SERVO = "; their controller adds the gravity torque, which is taken from the nominal model"
+SERVO_TORQUE = "no torque was recorded: it is computed by the law of position servos, {law}"
 UNKNOWN_GAIN = (
     f"; kp was estimated from gravity and inertia of the model and is known to {GAIN_DEVIATION:.0%}. It is fitted with "
     "every model, so this log cannot hold masses or gains apart: torques and friction are known in proportion to the "
@@ -157,7 +161,7 @@ class Stretch:
     Attributes:
         name: File and time.
         unit: File.
-        rows: Its samples among those of all recordings.
+        rows: Its samples, in the stacked samples of all recordings.
     """
 
     name: str
@@ -167,7 +171,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Column:
-    """A signal of one joint.
+    """Column of the residuals: a signal of one joint.
 
     Attributes:
         signal: Torque, or deflection of the transmission.
@@ -299,7 +303,7 @@ class RecordingSource(Source):
 
     @property
     def comparison_remarks(self) -> tuple[str, ...]:
-        """See :class:`Source`: those on how the recordings were read."""
+        """See :class:`Source`: remarks on how the recordings were read."""
         return self.reading
 
     def _column_weights(self) -> Array:
@@ -315,12 +319,12 @@ class RecordingSource(Source):
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`."""
         torques = item.sigma.size - self._related
-        scale = np.sqrt(item.sigma.size / torques)  # the mean square over all features is that of the torques
+        scale = np.sqrt(item.sigma.size / torques)  # the mean square over all features equals that over the torques
         return np.concatenate((np.resize(self._weights, torques) * scale, np.zeros(self._related)))
 
     @property
     def _related(self) -> int:
-        """Number of features of a stretch beyond its samples, which come last: velocities against positions, gains."""
+        """Number of features of a stretch after its samples: velocities against positions, and gains of servos."""
         return sum(relation.noise.size for relation in self._relations)
 
     @property
@@ -335,7 +339,7 @@ class RecordingSource(Source):
 
     @cached_property
     def proportion(self) -> Proportion:
-        """See :attr:`Source.proportion`; its drives may be large beside its links, and are in what was recorded."""
+        """See :attr:`Source.proportion`; the recorded torque shows drives that are large for their links."""
         turning = [number for number, column in enumerate(self._columns) if column.unit == TORQUE_UNIT]
         largest = np.quantile(np.abs(self.balance.recorded[:, turning]), TORQUE_QUANTILE, axis=0).max(initial=0.0)
         return super().proportion.driven_by(float(largest))
@@ -360,7 +364,7 @@ class RecordingSource(Source):
 
     @property
     def _signals(self) -> tuple[str, ...]:
-        """Names of the recorded signals; the torque of a servo was not."""
+        """Names of the recorded signals, without the computed torque of servos."""
         names = set(self.recordings[0].signals.arms[ARM].measured)
         if self.mapping.servo is not None:
             names -= {"torque"} | {name for name in ("dq_desired",) if name not in self.mapping.signals}
@@ -384,11 +388,11 @@ class RecordingSource(Source):
         return features
 
     def _features_of(self, number: int, torque: Array, related: Array) -> Array:
-        """Features of a stretch: torques and deflections by sample, then those of :attr:`_related`, ``(F,)``."""
+        """Features of a stretch, ``(F,)``: torques and deflections by sample, then relations (:attr:`_related`)."""
         return np.concatenate((torque[self._stretches[number].rows].ravel(), related[number]))
 
     def offers(self, effect: Effect) -> bool:
-        """See :meth:`Source.offers`; recordings calibrate the bare arm, differences show what changes or has a load."""
+        """See :meth:`Source.offers`; differences of recordings show only loads and effects that may change."""
         without = [*CONFOUNDED_WITH_MOTOR_FAULTS, *UNIDENTIFIABLE_FAULTS]
         if self.mapping.torque_measured_at == "motor":
             without += TORQUE_SENSOR_FAULTS
@@ -495,7 +499,7 @@ class RecordingSource(Source):
         residuals_of_model = {"the model": self.residuals}
         if added:
             residuals_of_model = {
-                "the model with what was found": self.residuals_by(added),
+                "the model with the effects found": self.residuals_by(added),
                 "the model as it is": self.residuals,
             }
         tracks = []
@@ -543,7 +547,7 @@ class RecordingSource(Source):
         return tuple(motions)
 
     def _rolled(self, motion: FreeMotion, added: Added) -> Physics:
-        """Physics of a motion with effects; drives give the torque of servos with the gains that fit these."""
+        """Physics of a motion with effects, and with the gains of servos fitted to these effects."""
         physics = super()._rolled(motion, added)
         if self._gains is None:
             return physics
@@ -552,7 +556,7 @@ class RecordingSource(Source):
         return replace(physics, arms={ARM: replace(arm, torque_gain=arm.torque_gain / (1.0 + share))})
 
     def _parts(self, numbers: Sequence[int] | None, first: int, last: int) -> list[tuple[int, int]]:
-        """Rows of a motion that stretches cover, neighbours together; its samples are ``first`` to ``last`` of all."""
+        """Rows of the motion of the stacked samples ``first`` to ``last`` in some stretches; neighbours are merged."""
         if numbers is None:
             return [(0, last - first)]
         parts: list[tuple[int, int]] = []
@@ -583,7 +587,7 @@ class RecordingSource(Source):
         return None if prediction is None else prediction[0]
 
     def _prediction(self, added: Added) -> tuple[Array, Array] | None:
-        """Torque of all recordings [N m], and what is :attr:`_related` ``(K, E)``; None without positive inertia."""
+        """Torque ``(k, c)`` and relations ``(K, E)`` (:attr:`_related`) of all recordings; None: not a body."""
         return self._predicted.of(added, lambda: self._predict_uncached(added))
 
     def _predict_uncached(self, added: Added) -> tuple[Array, Array] | None:
@@ -598,7 +602,7 @@ class RecordingSource(Source):
         return self._with_relations(torque, physics)
 
     def _with_relations(self, torque: Array, physics: Physics) -> tuple[Array, Array]:
-        """A predicted torque under the gains that fit it ``(k, c)``, and what is :attr:`_related`, ``(K, E)``."""
+        """Predicted torque with fitted gains ``(k, c)``, and relations ``(K, E)`` (:attr:`_related`)."""
         related = [np.empty((len(self._stretches), 0))]
         if self._relation is not None:
             related.append(self._relation.predicted(physics.arms[ARM].readings))
@@ -612,7 +616,7 @@ class RecordingSource(Source):
 
     @cached_property
     def _related_recorded(self) -> Array:
-        """Recorded values of :attr:`_related`, ``(K, E)``."""
+        """Recorded relations (:attr:`_related`), ``(K, E)``."""
         nothing = np.empty((len(self._stretches), 0))
         return np.hstack([nothing, *(relation.recorded for relation in self._relations)])
 
@@ -658,7 +662,7 @@ class RecordingSource(Source):
         )
 
     def _related_features(self) -> list[Feature]:
-        """Features of :attr:`_related`: gains, then delays of the velocities of all joints; gains of servos."""
+        """Features of the relations: gains, then delays of the velocities of all joints; gains of servos."""
         units = self.physics.arms[ARM].facts.units
         velocities = [
             Feature("free", POSITION_SLOPE, f"joint{joint + 1}", order, unit.velocity, 0.0)
@@ -670,7 +674,7 @@ class RecordingSource(Source):
 
     @cached_property
     def _scale_deviations(self) -> Array:
-        """Standard deviations of the scale of each joint's torque, with that of a gain in the model, ``(n,)`` [-]."""
+        """Relative standard deviations of each joint's torque scale, including a gain of the model, ``(n,)`` [-]."""
         deviation = 0.0 if self._gains else TORQUE_SCALE_DEVIATION[self.mapping.torque_measured_at]
         deviations = np.full(self.physics.arms[ARM].facts.joint_count, deviation)
         for effect in self.model.effects:
@@ -712,7 +716,7 @@ def _feature(phase: str, column: Column) -> Feature:
 
 
 def _motor_encoder_remarks(recordings: Sequence[Run], balance: TorqueBalance, minus: Sequence[Run]) -> list[str]:
-    """Remarks on the use of recorded motor positions; empty: there are none."""
+    """Remarks on the use of recorded motor positions; empty without motor positions."""
     arms = [run.signals.arms[ARM] for run in recordings if run.signals.arms[ARM].motor_position.size]
     if not arms:
         return []
@@ -725,8 +729,8 @@ def _motor_encoder_remarks(recordings: Sequence[Run], balance: TorqueBalance, mi
     if unused:
         moved = ", ".join(f"joint {joint + 1} {ratios[joint]:.3g} times" for joint in unused)
         text.append(
-            f"motor_position is not used where it shows no deflection of its own (motion over that of the link: {moved}"
-            "): expected the position of the motor, divided by the gear ratio (signals.motor_position.factor)"
+            f"motor_position is not used where it shows no deflection (motion over motion of the link: {moved}): "
+            "expected the position of the motor, divided by the gear ratio (signals.motor_position.factor)"
         )
     return text
 
@@ -744,7 +748,8 @@ def _prepared(
     """Recordings that are long enough for the filter, and their motions; the others are appended to ``short``.
 
     Raises:
-        InputError: Sampled too slowly, or none is long enough.
+        InputError: Sampled too slowly.
+        TooShort: No recording is long enough.
     """
     long_enough: list[Run] = []
     motions: list[Motion] = []
@@ -763,17 +768,17 @@ def _prepared(
 def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
     """Cumulative information of the samples between the edges of every motion, ``(k,)`` each; its mean density is 1.
 
-    A third each for time, for gravity and offsets; squared velocity; and squared acceleration of the joints, over their
-    mean squares.
+    The density is one third each of 1 (gravity and offsets), of the squared velocity and of the squared acceleration of
+    the joints, the latter two over their mean squares.
 
     Args:
         motions: Filtered recordings.
-        shortest: Length of the shortest stretch over that of the mean one; no density is higher than one over that.
+        shortest: Length of the shortest over length of the mean stretch; densities are clipped at its inverse.
     """
     signals = [np.stack((motion.velocity, motion.acceleration))[:, motion.kept] for motion in motions]
     squares = np.mean(np.square(np.concatenate(signals, axis=1)), axis=1, keepdims=True)
     densities = [(1.0 + 2.0 * np.mean(part**2 / np.maximum(squares, 1e-300), axis=(0, 2))) / 3.0 for part in signals]
-    for _ in range(CLIPPING_ITERATIONS):  # the mean is that of all motions
+    for _ in range(CLIPPING_ITERATIONS):
         mean = float(np.mean(np.concatenate(densities)))
         densities = [np.minimum(part / mean, 1.0 / shortest) for part in densities]
     return [np.cumsum(part) for part in densities]

@@ -33,13 +33,13 @@ from impact_rs_trials.runs import NONE, Signals
 from impact_rs_trials.workers import Map
 
 TRACKER_EFFECTS = (TRACKER_FRAME, TRACKED_POINT)
-CONTACT_EFFECTS = (*TRACKER_EFFECTS, PAD_POSITION)  # each may be why the replay of an impact misses the object
+CONTACT_EFFECTS = (*TRACKER_EFFECTS, PAD_POSITION)  # possible reasons why the replay of an impact misses the object
 MAX_MISSED_SHARE = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
 
-LEVELS = {  # what a level compares, and its phases
+LEVELS = {  # description and phases of every level
     "free_motion": ("torque balances and deflection in windows without contact", ("free",)),
     "trial": (
-        "the replay from before the impact through the push: velocity, contact force and object motion",
+        "the replay from before the impact to the end of the push: velocity, contact force and object motion",
         ("impact", "push"),
     ),
 }
@@ -50,7 +50,8 @@ def clusters_of(
 ) -> tuple[tuple[Cluster, ...], list[str]]:
     """Residuals of all runs as clusters, in order of appearance.
 
-    Without repeats of a layout its features have no pure error: they are scaled by the relevance limits, with a remark.
+    Without repeats of a layout its features have no pure error. They are then scaled by the relevance limits, with a
+    remark.
 
     Args:
         runs: The runs.
@@ -78,9 +79,9 @@ def clusters_of(
         limit = np.array([feature.relevance_limit for feature in first.features]) / 2.0
         kind = kind_of(first)
         size = Proportion.of(first.physics)
-        larger = np.array([size.factor(feature.unit) for feature in first.features])  # than where it was measured
+        factor = np.array([size.factor(feature.unit) for feature in first.features])  # to the size of this robot
         systematic, patterns = discrepancy.of(first.features, kind), discrepancy.patterns_of(first.features, kind)
-        systematic, patterns = larger * systematic, None if patterns is None else larger * patterns
+        systematic, patterns = factor * systematic, None if patterns is None else factor * patterns
         pure_error = np.zeros_like(limit) if spread is None else spread
         sigma = np.sqrt(pure_error**2 + limit**2 + systematic**2)
         clusters.append(
@@ -112,9 +113,9 @@ def clusters_of(
 
 
 def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[str, Array | None]:
-    """Pure error by condition, ``(F,)`` in the features' units; None without repeats of its kind.
+    """Pure error by condition, ``(F,)`` in the features' units; None without repeats in its family.
 
-    It is pooled over all conditions with the feature whose features are equal without gaps.
+    The error of a feature is pooled over the conditions of one family (:attr:`MeasuredRun.family`) that have it.
 
     Args:
         firsts: A run of every condition.
@@ -312,7 +313,7 @@ class ReplaySource(Source):
     def _with_contact_effect(
         cls, runs: Runs, model: Model, store: ReplayCache, discrepancy: Discrepancy, missed: int
     ) -> ReplaySource | None:
-        """The source with the effect that makes every replay hit and leaves the least residuals; None: no effect."""
+        """The source with the effect that makes every replay hit, with the smallest residuals; None: no such effect."""
         impacts, present = sum(run.hit for run in runs.runs), {item.name for item in model.effects}
         candidates: list[tuple[RequiredEffect, list[Array], Model]] = []
         for name in (effect.name for effect in CONTACT_EFFECTS if effect.name not in present):
@@ -332,7 +333,7 @@ class ReplaySource(Source):
         (best, residuals, extended), required = candidates[0], tuple(candidate for candidate, *_ in candidates)
         remark = (
             f"with model {model.name!r} the replays of {missed} of {impacts} impacts hit nothing, and with "
-            f"{best.item.name} as the impacts determine it all of them hit; all errors are with it"
+            f"{best.item.name} as estimated from the impacts all of them hit; all errors are computed with it"
         )
         runs = replace(runs, remarks=(*runs.remarks, remark))
         source = cls._of_residuals(runs, residuals, extended, store, discrepancy)
@@ -373,11 +374,11 @@ class ReplaySource(Source):
         )
 
     def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
-        """See :meth:`Source.tracks`: the first run of every condition beside its replay."""
+        """See :meth:`Source.tracks`: the first run of every condition and its replay."""
         return tracks_of_runs(self.runs, self.model, map_tasks, added)
 
     def free_motions(self, numbers: Sequence[int] | None = None) -> tuple[FreeMotion, ...]:
-        """See :meth:`Source.free_motions`: runs up to the impact; of many runs some, of all conditions in turn."""
+        """See :meth:`Source.free_motions`: up to ``MAX_ROLLOUT_STARTS`` runs before the impact, conditions in turn."""
         chosen = range(len(self.conditions)) if numbers is None else numbers
         turns = zip_longest(*(self.conditions[number] for number in chosen))
         runs = [run for turn in turns for run in turn if run is not None and run.signals.time.size]
@@ -395,7 +396,7 @@ class ReplaySource(Source):
         return self.store([self._replay(self.conditions[number][0], added) for number, added in requests], purpose)
 
     def _replay(self, run: MeasuredRun, added: Added) -> Replay:
-        """A replay of a run with effects; its model has the formulas of these effects alone, for the cache key."""
+        """A replay of a run with effects; for the cache key its model has only the formulas of these effects."""
         return Replay(run.setup, self.model.containing(name for name, _ in added), added)
 
     @cached_property
@@ -411,7 +412,7 @@ class ReplaySource(Source):
         return ReplaySource(replace(self.runs, runs=bare, late={}), self.model, self.store, clusters, self.discrepancy)
 
     def offers(self, effect: Effect) -> bool:
-        """See :meth:`Source.offers`; commands of trials made here are on the clock of the joints."""
+        """See :meth:`Source.offers`; in trials of this software commands and joints share a clock."""
         return super().offers(effect) and (self.clock > 0.0 or effect.name != COMMAND_CLOCK_OFFSET.name)
 
     def starts(self, name: str) -> Sequence[Array]:

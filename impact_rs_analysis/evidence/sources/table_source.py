@@ -1,38 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of impacts as a source of evidence: the impact map predicts what every row measured just after.
+"""Tables of impacts as a source of evidence: the impact map predicts the velocities just after the impact of every row.
 
-Features are the post-impact velocities: of the joints, of the body's centre, and its angular velocity. Those of a free
-body are given in contact axes, which are comparable between rows: along the ``normal``, along the ``sliding`` direction
-just before the impact, and ``across`` both. Those of an object are given in x, y and z. Two kinds of clusters:
+Features are the post-impact velocities: of the joints, of the body's centre, and its angular velocity. Velocities of a
+free body are in contact axes, which are comparable between rows: along the ``normal``, along the ``sliding`` direction
+just before the impact, and ``across`` both. Velocities of an object hit by an arm are in x, y and z. Two kinds of
+clusters:
 
 * **Conditions.** With enough repeats a cluster is a condition. Every repeat is predicted from its own ante-impact
   state, and the prediction of a condition is the mean over its repeats, so that its mean residual is linear in the
-  error of the map. The pure error is the scatter of the repeats. Rows that were measured under other circumstances
-  (covariates) are no repeats of each other: a condition has a cluster for each level, and for the lower and the upper
-  half of a number. They are held out together.
+  error of the map. The pure error is the scatter of the repeats. Rows under different circumstances (covariates) are no
+  repeats of each other: a condition has a cluster for each level, and for the lower and the upper half of a number.
+  Clusters of one condition are held out together.
 * **Blocks.** Without repeats a cluster is a block of neighbouring rows, like a stretch of a recording. The scatter of
   the scores between blocks replaces the pure error. Blocks are held out in runs of neighbours, with a guard on either
   side, because drift from row to row (wear, the person who tosses) would leak into the prediction.
 
-Linear and angular velocities of blocks are weighted by kinetic energy. A difference du of a row counts as the velocity
-at which the body has the same energy, coordinate by coordinate,
+Linear and angular velocities of blocks are weighted by kinetic energy. A difference du of a row is converted to the
+velocity at which the body has equal energy, coordinate by coordinate,
 
     d = sqrt(sum_i H_ii du_i^2 / m)                                      [m/s]
 
 with H the inertia of body and joints, motors included, and m the mass of the body: the energy norm of the difference
-where H is diagonal, as for a free body whose moments are alike. Every entry has the scale
+where H is diagonal, as for a free body with equal moments of inertia. Every entry has the scale
 
     sigma_i = s / sqrt(H_ii / m),        s^2 = mean of d^2 over the rows / number of entries of a row
 
-(a distance that was measured in place of a velocity counts as the velocity that it is worth,
-:mod:`impact_rs_trials.recordings.impacts.distances`)
+so that fits minimise the reported error. A distance measured in place of a velocity is converted to a velocity
+(:mod:`impact_rs_trials.recordings.impacts.distances`). Scaling each signal by its residual would be wrong: the signal
+with the largest effect of a missing term would then have the smallest weight in its estimate.
 
-so that fits minimise the reported error. Scaling each signal by its own residual would be wrong: the signal with the
-largest effect of a missing term would then have the smallest weight in its estimate.
-
-Tables of arms have a discrepancy of the rigid map (:mod:`impact_rs_analysis.evidence.tables.map_discrepancy`). With
-repeats it is part of sigma, without them of what is expected. Joints and object of an arm are also judged apart, and so
-are other contact points where they may decide (:meth:`ImpactTableSource.views`).
+Tables of arms have a discrepancy of the rigid map (:mod:`impact_rs_analysis.evidence.tables.map_discrepancy`): with
+repeats a part of sigma, without repeats a part of the expected residual. Joints and object are also judged separately,
+and so are other contact points where they may decide the verdict (:meth:`ImpactTableSource.views`).
 """
 
 from __future__ import annotations
@@ -101,23 +100,23 @@ from impact_rs_trials.workers import Map
 
 MAX_SMALL_BLOCKS = 120  # at most, where effects may depend on covariates
 MIN_SCALE_M_S = 1e-6  # m/s; a model with smaller residuals is exact
-MAX_SEARCHED_ROWS_OF_ARMS = 96  # rows of a larger table that a search looks at; four in each block
-MAX_SEARCHED_ROWS_OF_BODIES = 960  # of free bodies, whose map is a twentieth of the work
-FOLDS_OF_LARGE_TABLE = 3  # all rows that a search has not looked at are held out as well
-SEARCHED_ROWS_OF_LEVEL = 24  # rows of a level of a covariate, that it looks at
+MAX_SEARCHED_ROWS_OF_ARMS = 96  # rows of a larger table that a search uses; four in each block
+MAX_SEARCHED_ROWS_OF_BODIES = 960  # for free bodies, whose map takes a twentieth of the time
+FOLDS_OF_LARGE_TABLE = 3  # rows outside the search are held out as well
+SEARCHED_ROWS_OF_LEVEL = 24  # rows by level of a covariate that a search uses
 MAX_DISTINCT_NUMBERS = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
-MAX_NEIGHBOUR_SCATTER_RATIO = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
+MAX_NEIGHBOUR_SCATTER_RATIO = 0.8  # over the residual of the model; a larger scatter of neighbours is not reported
 MAX_LEVELS_SHOWN = 8  # levels of a covariate in a remark
-MIN_CONTACT_CHANGE_RATIO = 0.2  # of what the model leaves; contacts that move predictions by more may decide
+MIN_CONTACT_CHANGE_RATIO = 0.2  # over the residual of the model; a larger change by other contacts may decide a verdict
 MAX_ENERGY_RATIO = 1.05  # kinetic energy after over before; rows above it are reported
 MIN_ROWS_OF_ENERGY = 3  # rows whose mean is judged
-ENERGY_CONFIDENCE = 0.999  # one-sided confidence of the mean of all rows, above which no impact is behind a table
+ENERGY_CONFIDENCE = 0.999  # one-sided confidence of the mean of all rows, for an energy that no impact allows
 
 NO_DISCREPANCY_REMARK = (
     "model discrepancy of the rigid impact map is taken as 0: finite duration and compliance of real impacts count "
     "against the model"
 )
-PARTS_OF_ROW = ("joints", "object")  # parts of a row of an arm that are also judged apart
+PARTS_OF_ROW = ("joints", "object")  # parts of a row of an arm that are also judged separately
 NO_REPEATS_REMARK = (
     f"too few rows are repeats of each other (column '{CONDITION.header}'), so blocks of neighbouring rows are held "
     "out instead"
@@ -140,7 +139,7 @@ SIZE_TEXT_WITHOUT_REPEATS = (
 
 @dataclass(frozen=True)
 class _Comparison:
-    """Measurements, model and rules of a comparison.
+    """Measurements, model and settings of a comparison.
 
     Attributes:
         table: The measurements.
@@ -148,10 +147,10 @@ class _Comparison:
         predictions: Predictions of the rows.
         groups: Rows by cluster.
         repeated: Whether clusters are conditions with repeats.
-        columns: Positions of the entries that are compared.
-        map_tasks: Who runs what :meth:`ImpactTableSource.distribute` is given; None: this process.
+        columns: Indices of the entries that are compared.
+        map_tasks: Parallel map of :meth:`ImpactTableSource.distribute`; None: this process.
         interleaved: See :attr:`Source.interleaved`.
-        cached_feature_sets: Number of sets of effects whose features are kept.
+        cached_feature_sets: Number of sets of effects whose features are cached.
     """
 
     table: ImpactTable
@@ -171,10 +170,10 @@ class ImpactTableSource(Source):
     Args:
         table: The measurements.
         model: The model.
-        each_arm: Whether arms of one kind have parameters of their own.
+        each_arm: Whether arms of one kind have separate parameters.
         discrepancy: Discrepancy of the rigid map, for arms; None: as measured.
         remarks: Whether to look for remarks.
-        map_tasks: Who runs what :meth:`distribute` is given; None: this process.
+        map_tasks: Parallel map of :meth:`distribute`; None: this process.
 
     Attributes:
         entries: All entries of the rows.
@@ -226,17 +225,17 @@ class ImpactTableSource(Source):
         self.impossible = self._energy_gain()
         self.remarks = tuple(self._remarks()) if remarks else ()
 
-    def _adopt(self, chosen: _Comparison) -> None:
-        """Compare what is chosen."""
-        self._comparison, self._predictions, self._groups = chosen, chosen.predictions, chosen.groups
-        self.table, self.model = chosen.table, chosen.model
-        self.repeated, self.interleaved = chosen.repeated, chosen.interleaved
-        self.entries = entries = chosen.predictions.entries
+    def _adopt(self, comparison: _Comparison) -> None:
+        """Predict the rows and compute the clusters of a comparison."""
+        self._comparison, self._predictions, self._groups = comparison, comparison.predictions, comparison.groups
+        self.table, self.model = comparison.table, comparison.model
+        self.repeated, self.interleaved = comparison.repeated, comparison.interleaved
+        self.entries = entries = comparison.predictions.entries
         self.physics = entries.worlds[0]
         self.size_unit = TIMES if self.repeated else self.residual_unit
         self.size_is = SIZE_TEXT_WITH_REPEATS if self.repeated else SIZE_TEXT_WITHOUT_REPEATS
-        self._columns = columns = list(chosen.columns)
-        self._feature_cache = Recent[list[Array | None]](chosen.cached_feature_sets)
+        self._columns = columns = list(comparison.columns)
+        self._feature_cache = Recent[list[Array | None]](comparison.cached_feature_sets)
         self.signals, self.energy_weights = (
             tuple(entries.signals[column] for column in columns),
             entries.energy_weights[:, columns],
@@ -246,15 +245,15 @@ class ImpactTableSource(Source):
         self.predicted = self.predicted_with(())
         self.clusters = self._clusters()
 
-    def _copy_with(self, chosen: _Comparison) -> ImpactTableSource:
-        """The same measurements, compared in another way."""
+    def _copy_with(self, comparison: _Comparison) -> ImpactTableSource:
+        """A source of these measurements with another comparison."""
         source = ImpactTableSource.__new__(ImpactTableSource)
-        source._adopt(chosen)
+        source._adopt(comparison)
         source.impossible, source.remarks, source.folds = self.impossible, self.remarks, self.folds
         return source
 
     def __getstate__(self) -> dict[str, Any]:
-        """State for another process, without variants of the table, processes, and what is kept of predictions."""
+        """State for another process, without variants of the table, parallel map and caches."""
         chosen = replace(self._comparison, map_tasks=None, table=self.entries.table)
         bare = {"_comparison": chosen, "table": chosen.table, "_feature_cache": Recent(chosen.cached_feature_sets)}
         return {**super().__getstate__(), **bare}
@@ -282,7 +281,7 @@ class ImpactTableSource(Source):
         return Covariate(name, unit, tuple(tuple(values[row] for row in group.rows) for group in self._groups))
 
     def with_dependences(self, effects: Sequence[Depending]) -> ImpactTableSource:
-        """See :meth:`Source.with_dependences`; of many different numbers those that are close are taken as their mean.
+        """See :meth:`Source.with_dependences`; many different numbers are replaced by means of groups of close ones.
 
         Blocks are small: a session may have few rows, and a test by signs of blocks needs several in each.
         """
@@ -306,7 +305,7 @@ class ImpactTableSource(Source):
         return list(numbers.tolist())
 
     def offers(self, effect: Effect) -> bool:
-        """See :meth:`Source.offers`; sensors are those of a free body whose turn was measured."""
+        """See :meth:`Source.offers`; effects of sensors need a free body whose angular velocity was measured."""
         turned = bool(self.table.turning and not self.table.arms)
         measurable = {
             MIRRORED_SPINS.name: bool(self.starts(MIRRORED_SPINS.name)),
@@ -319,18 +318,17 @@ class ImpactTableSource(Source):
 
     @property
     def _oriented(self) -> bool:
-        """Whether the orientation of the body was measured, with which a tracked point turns."""
+        """Whether the orientation of the body was measured, which moves a tracked point."""
         return any(np.any(row.impact.object.rotation != np.eye(3)) for row in self.table.rows)
 
     def starts(self, name: str) -> Sequence[Array]:
-        """See :meth:`Source.starts`: axes by right angles that the laws of every contact are for.
+        """See :meth:`Source.starts`: rotations of axes by right angles that the laws of every contact favour.
 
-        A little more of a half turn changes velocities at right angles to what the whole of it changes, so that
-        sensitivities there do not show it; a fit of it starts after two thirds.
+        At a half turn the sensitivities are at right angles to the change by the half turn, so a fit that starts there
+        does not move; it starts at two thirds of the half turn.
         """
-        exact = all(
-            world.twist_readings.exact for world in self._predictions.worlds
-        )  # else the table is not what the model sees
+        # With other readings in the model, the axes of the table are not the axes of the model.
+        exact = all(world.twist_readings.exact for world in self._predictions.worlds)
         kinds = {SPIN_AXES.name: ("spins", 1.0), MIRRORED_SPINS.name: ("spins", -1.0), TWIST_AXES.name: ("twists", 1.0)}
         if name not in kinds or not exact:
             return ()
@@ -355,7 +353,7 @@ class ImpactTableSource(Source):
         return self.entries.map_discrepancy.document
 
     def searched(self) -> ImpactTableSource:
-        """See :meth:`Source.searched`: rows, or conditions and their repeats, evenly taken, and some of each level."""
+        """See :meth:`Source.searched`: evenly spaced rows, or conditions with their repeats, and rows of each level."""
         enough = MAX_SEARCHED_ROWS_OF_ARMS if self.table.arms else MAX_SEARCHED_ROWS_OF_BODIES
         if len(self.table.rows) <= enough:
             return self
@@ -407,7 +405,7 @@ class ImpactTableSource(Source):
     def views(self) -> tuple[View, ...]:
         """See :meth:`Source.views`.
 
-        Joints and object of an arm apart, other contact points where they decide, and what is not known well.
+        Joints and object of an arm, other contact points where they may decide, and other values of unsure quantities.
         """
         views = [View(name, part) for name, part in self._parts().items()]
         for times in (1.0 / MAX_TOLERANCE_FACTOR, MAX_TOLERANCE_FACTOR):
@@ -422,12 +420,12 @@ class ImpactTableSource(Source):
 
     @property
     def identity(self) -> Identity:
-        """See :attr:`Source.identity`; without repeats the table counts as its only condition."""
+        """See :attr:`Source.identity`; without repeats the table is its only condition."""
         names = tuple(item.name for item in self.clusters) if self.repeated else (self.table.path.name,)
         return Identity(self.table.digest, len(self.table.rows), names)
 
     def _parts(self) -> dict[str, ImpactTableSource]:
-        """Joints and object of an arm, each alone; none without an arm, or if the object alone was measured."""
+        """Sources of joints and object of an arm; empty without an arm, or if only the object was measured."""
         if not (self.table.arms and self.table.joints):
             return {}
         columns = {name: _columns(self.table, joints=name == "joints", body=name == "object") for name in PARTS_OF_ROW}
@@ -435,9 +433,9 @@ class ImpactTableSource(Source):
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
-        """See :attr:`Source.comparison_remarks`; with how far joints and object are off, and rows by covariate."""
+        """See :attr:`Source.comparison_remarks`; with the sizes for joints and object, and by covariate."""
         sizes = ", ".join(f"{name} {part.size():.3g}" for name, part in self._parts().items())
-        apart = [f"apart: {sizes} {self.size_unit}"] if sizes else []
+        remarks = [f"apart: {sizes} {self.size_unit}"] if sizes else []
         squares = np.sum(np.square((self.measured - self.predicted) * self.energy_weights), axis=1)
         for name in self.table.covariates:
             groups = by_circumstance(self.table, name, range(len(squares)))
@@ -445,12 +443,12 @@ class ImpactTableSource(Source):
             first = sorted(parts.items())[:MAX_LEVELS_SHOWN]
             shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in first)
             hidden = len(parts) - MAX_LEVELS_SHOWN
-            apart.append(f"differences by {name}: {shown}{f' and {hidden} more' if hidden > 0 else ''}")
-        return (*self.remarks, *apart)
+            remarks.append(f"differences by {name}: {shown}{f' and {hidden} more' if hidden > 0 else ''}")
+        return (*self.remarks, *remarks)
 
     @property
     def proportion(self) -> Proportion:
-        """See :attr:`Source.proportion`; a free body is in proportion to its mass, moments and closing speed."""
+        """See :attr:`Source.proportion`; for a free body by its mass, moments of inertia and closing speed."""
         return (
             Proportion.of(self.physics)
             if self.table.arms
@@ -473,11 +471,11 @@ class ImpactTableSource(Source):
     def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.residuals_with`; every repeat starts from its own state."""
         numbers = {item.name: number for number, item in enumerate(self.clusters)}
-        answers = self._predicted_entries(added)
+        entries = self._predicted_entries(added)
         result = []
         for item in like:
             number = numbers[item.name]
-            rows = self._rows(number, answers)
+            rows = self._rows(number, entries)
             if rows is None:
                 return None
             residuals = self.measured[list(self._groups[number].rows)] - rows
@@ -572,17 +570,17 @@ class ImpactTableSource(Source):
         """See :attr:`Source.worlds`."""
         return self._predictions.worlds
 
-    def _rows(self, number: int, answers: Array | None) -> Array | None:
-        """u^+ of the rows of a cluster out of those of all rows, ``(n, nv)``; None without a solution."""
-        rows = None if answers is None else answers[list(self._groups[number].rows)]
+    def _rows(self, number: int, entries: Array | None) -> Array | None:
+        """Rows of a cluster in the entries of all rows, ``(n, F)``; None without a solution."""
+        rows = None if entries is None else entries[list(self._groups[number].rows)]
         return None if rows is None or np.isnan(rows).any() else rows
 
     def _features(self, added: Added) -> list[Array | None]:
-        """:meth:`predict` of every cluster; the diagnosis asks for the same effects again and again."""
+        """:meth:`predict` of every cluster, cached: a diagnosis repeats requests."""
 
         def made() -> list[Array | None]:
-            answers = self._predicted_entries(added)
-            clusters = [self._rows(number, answers) for number in range(len(self._groups))]
+            entries = self._predicted_entries(added)
+            clusters = [self._rows(number, entries) for number in range(len(self._groups))]
             return [rows if rows is None else rows.mean(axis=0) if self.repeated else rows.ravel() for rows in clusters]
 
         return self._feature_cache.of(added, made)
@@ -659,16 +657,16 @@ class ImpactTableSource(Source):
                 scatter = self.scatter_of_neighbours(self.measured - self.predicted)
                 if scatter is not None and scatter < MAX_NEIGHBOUR_SCATTER_RATIO * self.size():
                     remarks.append(
-                        f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves "
-                        "beyond that is no noise"
+                        f"impacts of neighbouring states scatter by {scatter:.3g} m/s: larger residuals of the model "
+                        "are no noise"
                     )
         if (unsure := self._contact_remark()) is not None:
             remarks.append(unsure)
         if self.repeated and (stated := self._stated_noise()) is not None:
             ratio = float(np.sqrt(np.mean(np.square(self._pooled / np.maximum(stated, MIN_SCALE_M_S)))))
             remarks.append(
-                f"repeats scatter {ratio:.2g} times as much as the noise columns say; of every velocity the larger of "
-                "both counts"
+                f"repeats scatter {ratio:.2g} times as much as the noise columns say; the larger of both is used for "
+                "every velocity"
             )
         contact_noise = (
             0.0 if self.noise is None else self._energy_norm(self.entries.noise_of_contacts[:, self._columns])
@@ -692,7 +690,7 @@ class ImpactTableSource(Source):
         return remarks
 
     def _with_contacts(self, times: float) -> ImpactTableSource:
-        """The same measurements with the contact points of another tolerance.
+        """These measurements with the contact points of another tolerance.
 
         Args:
             times: The tolerance over that of the table, ``MAX_TOLERANCE_FACTOR`` or its inverse [-].
@@ -705,7 +703,7 @@ class ImpactTableSource(Source):
         return self._of(table, remarks=True)
 
     def _of(self, table: ImpactTable, remarks: bool) -> ImpactTableSource:
-        """Another table against the same model."""
+        """Source of another table with this model."""
         source = ImpactTableSource(
             table, self.model, False, self.entries.map_discrepancy, remarks, self._comparison.map_tasks
         )
@@ -713,7 +711,7 @@ class ImpactTableSource(Source):
         return source
 
     def _contacts_moved(self, times: float) -> float:
-        """How much predictions move with the contact points of another tolerance, as :meth:`size` in m/s."""
+        """Change of predictions with the contact points of another tolerance, as :meth:`size` [m/s]."""
         alternatives = [(n, row.wider if times > 1.0 else row.narrower) for n, row in enumerate(self.table.rows)]
         changed = [(number, impact) for number, impact in alternatives if impact is not None]
         if not changed:
@@ -732,30 +730,30 @@ class ImpactTableSource(Source):
         )
 
     def _energy_norm(self, differences: Array, rows: Sequence[int] | None = None) -> float:
-        """Rms over rows (None: all) of d of the module, of differences ``(rows, F)`` [m/s]."""
+        """Rms over rows (None: all) of d (module text) for differences ``(rows, F)`` [m/s]."""
         worth = self.energy_weights if rows is None else self.energy_weights[list(rows)]
         return float(np.sqrt(np.mean(np.sum(np.square(differences * worth), axis=1))))
 
     def _contact_remark(self) -> str | None:
-        """How much depends on where bodies touch; None: nothing, or points were measured."""
+        """Remark on the influence of unsure contact points; None: no influence, or points were measured."""
         count = sum(row.wider is not None for row in self.table.rows)
         if not count:
             return None
         return (
             f"which points touch is unsure in {count} of {len(self.table.rows)} rows: with "
             f"{1e3 * MAX_TOLERANCE_FACTOR * self.table.tolerance:g} in place of {1e3 * self.table.tolerance:g} mm "
-            f"predictions move by {self._contacts_moved(MAX_TOLERANCE_FACTOR):.2g} m/s, beside "
+            f"predictions move by {self._contacts_moved(MAX_TOLERANCE_FACTOR):.2g} m/s, compared with "
             f"{self._energy_norm(self.measured - self.predicted):.2g} m/s between measurement and model "
             "(--contact-tolerance)"
         )
 
     def scatter_of_neighbours(self, residuals: Array) -> float | None:
-        """Size of what rows with nearly the same state before differ by, an upper limit of the noise [m/s].
+        """Upper limit of the noise: size of the scatter of rows with nearly equal ante-impact states [m/s].
 
-        The state of a free body is its twist and the place of its contact, in contact axes.
+        The state of a free body is its twist and the position of its contact, in contact axes.
 
         Args:
-            residuals: Residual of a model, ``(rows, nv)``; the smoother, the lower is the limit.
+            residuals: Residuals of a model, ``(rows, F)``; a better model gives a lower limit.
 
         Returns:
             None with too few rows, or with arms, whose states have too many coordinates.
@@ -771,11 +769,11 @@ class ImpactTableSource(Source):
         return None if noise is None else self._energy_norm(noise)
 
     def _stated_noise(self) -> Array | None:
-        """Standard deviation of the noise columns by feature, ``(nv,)``; None: there are none."""
+        """Standard deviation of the noise columns by feature, ``(F,)``; None: no noise columns."""
         return None if self.noise is None else np.sqrt(np.mean(np.square(self.noise), axis=0))
 
     def _energy_gain(self) -> str:
-        """That the rows as a whole leave with more kinetic energy than they came with; empty: they do not."""
+        """Sentence on a gain of kinetic energy over all rows; empty: no significant gain."""
         ratios = self._energy_ratios[np.isfinite(self._energy_ratios)]
         if ratios.size < MIN_ROWS_OF_ENERGY:
             return ""
@@ -797,11 +795,11 @@ class ImpactTableSource(Source):
         for row, system in zip(self.table.rows, self.entries.systems, strict=True):
             before, after = (float(u @ system.inertia @ u) for u in (system.velocity, row.after))
             ratios.append(after / max(before, 1e-300))
-        return np.array(ratios)  # nan where something was not measured after
+        return np.array(ratios)  # nan where a velocity after was not measured
 
 
 def _columns(table: ImpactTable, joints: bool, body: bool) -> tuple[int, ...]:
-    """Positions of the entries of joints or of the body, or of both, without what was not measured."""
+    """Indices of the measured entries of joints or body, or of both."""
     count = table.rows[0].after.size
     columns = list(range(count - 6)) if joints else []
     if body and table.centre:

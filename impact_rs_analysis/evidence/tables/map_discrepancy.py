@@ -94,7 +94,7 @@ def measured_map_discrepancy() -> MapDiscrepancy:
 
 
 def lengths_of(features: Sequence[Feature], physics: Physics) -> Array:
-    """Length from a velocity to that of a point: reach, radius of gyration, or 1 for translations, ``(F,)``."""
+    """Lever of every velocity [m]: reach of the arm, radius of gyration, or 1 for translations, ``(F,)``."""
     turning = gyration_of(physics.object)
     reach = {name: reach_of(arm.facts) for name, arm in physics.arms.items()}
     return np.array(

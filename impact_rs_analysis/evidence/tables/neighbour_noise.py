@@ -7,7 +7,7 @@ k nearest rows of row i predicts its residual r_i with the error e_i, and
     var(e_i) = s^2 (1 + h_i),        h_i = x_i^T (X^T X)^-1 x_i        X: states of the neighbours, with a constant
 
 so s^2 is the mean of e_i^2 / (1 + h_i) (local regression: Cleveland and Devlin 1988). Curvature between neighbours
-biases it upwards, never downwards: noise is not mistaken for a missing law, though a missing law may be for noise.
+biases s upwards, never downwards: noise is not mistaken for a missing law, but a missing law may be mistaken for noise.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class RowGroup:
 
 
 def conditions(table: ImpactTable) -> list[RowGroup] | None:
-    """Conditions with their repeats, or parts of them under like circumstances; None with too few repeats.
+    """Conditions with their repeats, or their parts under equal circumstances; None with too few repeats.
 
     Args:
         table: The table.
@@ -54,19 +54,19 @@ def conditions(table: ImpactTable) -> list[RowGroup] | None:
 
 
 def _by_circumstances(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
-    """Rows of a condition by levels of all covariates, and by halves of numbers; each with what it is, in words."""
+    """Rows of a condition by levels of all covariates, and by halves of numbers; each part with its labels."""
     parts: list[tuple[list[str], list[int]]] = [([], whole)]
     for name in table.covariates:
         split = []
         for labels, rows in parts:
             by_label = by_circumstance(table, name, rows)
-            halves = len({row.circumstances[name] for row in table.rows}) > MAX_NUMBERS_AS_LEVELS
-            numbers = isinstance(table.rows[rows[0]].circumstances[name], float)
-            # Halves of a number are repeats of each other only if several rows are left in both.
-            whole_part = len(by_label) == 1 or (
-                numbers and halves and min(map(len, by_label.values())) < MIN_ROWS_OF_HALF
-            )
-            split += [(labels, rows)] if whole_part else [([*labels, *item[:1]], item[1]) for item in by_label.items()]
+            many = len({row.circumstances[name] for row in table.rows}) > MAX_NUMBERS_AS_LEVELS
+            halves = many and isinstance(table.rows[rows[0]].circumstances[name], float)
+            # Rows are split into halves of a number only if both halves have repeats.
+            if len(by_label) == 1 or (halves and min(map(len, by_label.values())) < MIN_ROWS_OF_HALF):
+                split.append((labels, rows))
+            else:
+                split += [([*labels, label], part) for label, part in by_label.items()]
         parts = split
     return parts
 
@@ -113,7 +113,7 @@ def blocks(table: ImpactTable, most: int = BLOCKS) -> list[RowGroup]:
 
 
 def evenly(rows: Sequence[int], most: int) -> set[int]:
-    """At most so many of some rows, evenly taken."""
+    """At most ``most`` of the rows, evenly spaced."""
     if len(rows) <= most:
         return set(rows)
     return {rows[index] for index in np.linspace(0, len(rows) - 1, most).round().astype(int)}

@@ -19,21 +19,21 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robots.robot import Array
 
-MAX_ALTERED = 1024  # physics with effects that were tried last
-MAX_PREDICTIONS_BYTES = 48_000_000  # predictions of the whole table, with effects that were tried last
+MAX_ALTERED = 1024  # cached physics with effects
+MAX_PREDICTIONS_BYTES = 48_000_000  # cached predictions of the whole table
 
 
 @dataclass(frozen=True)
 class RowPredictions:
-    """Predictions of all rows for a model with effects, of which those that were asked for last are kept.
+    """Predictions of all rows for a model with effects; the last ones are cached.
 
     Attributes:
         entries: The entries of the rows.
         worlds: Distinct physics of the rows under the model, with the circumstances that effects depend on.
-        world_of: Which of them is that of each row.
+        world_of: Index of the physics of each row.
         effects: Known effects by name.
-        solved: Predictions of all rows by everything the map depends on.
-        altered: Physics with effects, by their position and the effects.
+        solved: Cached predictions of all rows, by the inputs of the map.
+        altered: Cached physics with effects, by index of the physics and effects.
     """
 
     entries: TableEntries
@@ -49,7 +49,7 @@ class RowPredictions:
         return cls(entries, entries.worlds, entries.world_of, effects, Recent(cache_size(entries)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """State for another process, without the predictions that are kept."""
+        """State for another process, without cached predictions."""
         return {**vars(self), "solved": Recent(cache_size(self.entries)), "altered": Recent(MAX_ALTERED)}
 
     def physics_of_rows(self, worlds: Sequence[Physics]) -> list[Physics]:
@@ -59,7 +59,7 @@ class RowPredictions:
     def all_rows(self, added: Added) -> Array | None:
         """Entries of all rows, ``(rows, n)``, nan where there is no solution; None: no positive inertia.
 
-        All rows are solved in one batch, also where only some are requested.
+        All rows are solved in one batch, even if only some are requested.
 
         Args:
             added: Effects on top of the model.
@@ -97,7 +97,7 @@ class RowPredictions:
     def with_dependences(
         self, effects: Sequence[Depending], circumstances: Mapping[str, Sequence[float | str]]
     ) -> RowPredictions:
-        """The same with effects that depend on covariates.
+        """These predictions with effects that depend on covariates.
 
         Args:
             effects: The effects.
@@ -137,12 +137,12 @@ class RowPredictions:
 
 
 def cache_size(entries: TableEntries, share: int = 1) -> int:
-    """Number of predictions of the whole table that are kept, in one of some shares of the memory."""
+    """Number of cached predictions of the whole table, in one of ``share`` equal parts of the memory."""
     return max(1, MAX_PREDICTIONS_BYTES // share // entries.energy_weights.nbytes)
 
 
 def _inputs_of_the_map(physics: Physics) -> bytes:
-    """All numbers that the solution of an impact map depends on, besides its state."""
+    """All inputs of an impact map except the state, as a cache key."""
     body = physics.object
     contact = (physics.support_friction, physics.pad_friction, restitution_of(physics), physics.rolling_arm)
     parts = [np.array(contact), np.array(physics.twist_readings.numbers), body.com_offset]

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entries of a row of a table of impacts: velocities just after the impact, as measured and as the impact map predicts.
 
-Entries are the velocities of the joints, of the body's centre, and its angular velocity; behind them the distance,
-where one was measured in place of the velocity of the centre. Those of a free body are in contact axes, along the
-``normal``, along the ``sliding`` direction just before the impact, and ``across`` both; those of an object in x, y, z.
+Entries are the velocities of the joints, of the body's centre, and its angular velocity; last the distance, if it was
+measured in place of the velocity of the centre. Velocities of a free body are in contact axes, along the ``normal``,
+along the ``sliding`` direction just before the impact, and ``across`` both; velocities of an object are in x, y, z.
 
-A difference du_i counts as the velocity at which the body of mass m has the same kinetic energy, sqrt(H_ii / m) |du_i|,
-with H the inertia of body and joints, motors included.
+A difference du_i is converted to the velocity at which the body of mass m has equal kinetic energy,
+sqrt(H_ii / m) |du_i|, with H the inertia of body and joints, motors included.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from impact_rs_trials.recordings.impacts.impact_table import ImpactTable
 
 RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 CONTACT_AXES = ("normal", "sliding", "across")
-MIN_SLIDING_M_S = 1e-6  # slower contacts have no sliding direction, and any tangent is taken
+MIN_SLIDING_M_S = 1e-6  # slower contacts have no sliding direction: an arbitrary tangent is used
 DISTANCE = "distance after"
 
 
@@ -51,7 +51,7 @@ class TableEntries:
     Attributes:
         table: The table.
         worlds: Distinct physics of its rows under the model.
-        world_of: Which of them is that of each row.
+        world_of: Index of the physics of each row.
         map_discrepancy: Discrepancy of the rigid map.
     """
 
@@ -77,7 +77,7 @@ class TableEntries:
 
     @cached_property
     def signals(self) -> tuple[Feature, ...]:
-        """The entries of a row, the same for all rows, ``n`` of them."""
+        """Description of the ``n`` entries, common to all rows."""
         features = []
         for name in self.table.rows[0].impact.arms:
             label = arm_label(name, self.table.arms)
@@ -100,7 +100,7 @@ class TableEntries:
 
     @cached_property
     def distance_slopes(self) -> Array:
-        """Change of the distance of every row by one of the velocity, ``(rows,)`` [s].
+        """Derivative of the distance of every row by the velocity of the centre, ``(rows,)`` [s].
 
         Raises:
             InputError: The impact map has no solution for some row.
@@ -117,7 +117,7 @@ class TableEntries:
 
     @cached_property
     def measured(self) -> Array:
-        """Measured entries of all rows, ``(rows, n)`` [rad/s, m/s, m], nan of what was not measured."""
+        """Measured entries of all rows, ``(rows, n)`` [rad/s, m/s, m]; nan: not measured."""
         entries = turned(np.array([row.after for row in self.table.rows]), self.axes)
         if not self.has_distances:
             return entries
@@ -139,13 +139,13 @@ class TableEntries:
 
     @cached_property
     def noise_of_contacts(self) -> Array:
-        """Noise of predictions of all entries by place and normal of the contacts of each row, ``(rows, n)``."""
+        """Noise of all predicted entries from errors of contact position and normal, ``(rows, n)``."""
         worlds, squares = self.physics_of_rows, np.zeros_like(self.measured)
         stated = np.array([row.contact_noise for row in self.table.rows])
         if not stated.any():
             return squares
         nominal = self.predicted(self.impacts, worlds)
-        for along in range(5):  # three axes for the place, two tangents for the normal
+        for along in range(5):  # three axes for the position, two tangents for the normal
             impacts = [_moved(row.impact, along, *row.contact_noise) for row in self.table.rows]
             moved = self.predicted(MeasuredImpacts(impacts, worlds), worlds)
             squares += np.square(np.nan_to_num(moved - nominal))
@@ -159,7 +159,7 @@ class TableEntries:
         Args:
             impacts: Impacts of the rows.
             worlds: Physics of each.
-            rows: Their positions; None: all rows.
+            rows: Indices of the rows; None: all rows.
         """
         indices = range(len(self.table.rows)) if rows is None else rows
         velocity, _ = impacts.solve(worlds)
@@ -189,7 +189,7 @@ class TableEntries:
 
     @cached_property
     def energy_weights(self) -> Array:
-        """sqrt(H_ii / m): velocity of the body with the energy of 1 rad/s or 1 m/s, ``(rows, n)`` [m, -]."""
+        """sqrt(H_ii / m): velocity of the body with the energy of a unit of entry i, ``(rows, n)`` [m, -, 1/s]."""
         inertia = np.array([system.inertia for system in self.systems])
         half = np.swapaxes(_all_turned(inertia, self.axes), 1, 2)  # H T^T, then T H T^T, with T the axes
         diagonal = np.einsum("nii->ni", _all_turned(half, self.axes))
@@ -211,7 +211,7 @@ class TableEntries:
         """Discrepancy of the rigid map of all entries of a row, ``(n,)``.
 
         Args:
-            row: Its position.
+            row: Index of the row.
             world: Its physics.
             speed: Its closing speed [m/s].
         """
@@ -239,7 +239,7 @@ def turned(velocity: Array, axes: Array) -> Array:
 
 
 def _all_turned(columns: Array, axes: Array) -> Array:
-    """As :func:`turned`, of several columns at once, ``(rows, nv, k)``."""
+    """As :func:`turned`, for several columns at once, ``(rows, nv, k)``."""
     result = columns.copy()
     for xyz in (slice(-6, -3), slice(-3, None)):
         result[:, xyz] = axes @ columns[:, xyz]

@@ -144,7 +144,8 @@ def test_what_the_torque_is_stands_in_comparison_and_remarks(tmp_path: Path) -> 
     source = source_of(tmp_path, Servos(), servo_mapping(tmp_path, {"kp": KP}), 12.0)
     said = compare(source)
     assert said.recording is not None
-    assert said.recording.torque.startswith("no torque was recorded: it is that of position servos, kp (q_desired - q)")
+    law = "no torque was recorded: it is computed by the law of position servos, kp (q_desired - q)"
+    assert said.recording.torque.startswith(law)
     assert "viscous friction includes the damping" in said.recording.torque
     assert said.recording.torque in said.remarks
     assert said.recording.signals == ("position", "q_desired", "velocity")

@@ -84,7 +84,7 @@ def test_a_calibration_adds_its_effects_and_keeps_the_name_of_the_model() -> Non
     assert (whole.name, [item.name for item in whole.effects]) == ("mine", ["object_mass", "torque_delay"])
     assert NO_CALIBRATION.of(payload) is payload
     said = refusal(LaboratoryCalibration(late(0.02), Path("c.yaml")).of, late(0.01))
-    assert not lacking(said, "c.yaml|effects.0.name|torque_delay|count twice|remove it from one")
+    assert not lacking(said, "c.yaml|effects.0.name|torque_delay|applied twice|remove it from one")
     said = refusal(check_faults, payload, "c.yaml")
     assert not lacking(said, "c.yaml|effects.0.name|object_mass|--model")
 

@@ -92,7 +92,7 @@ def test_one_name_for_two_robots_is_refused_where_parameters_go_by_names() -> No
     with pytest.raises(InputError, match="arm 'arm' is another robot in another scenario"):
         with_per_arm_parameters(nominal, [one, other], each_arm=True)
     source = cast(Source, SimpleNamespace(model=nominal, physics=one, worlds=[one, other]))
-    with pytest.raises(InputError, match="arms arm with 6 joints, arm with 7 joints: .* another name for each"):
+    with pytest.raises(InputError, match="arms arm with 6 joints, arm with 7 joints: .* a different name for each"):
         Source.joints.fget(source)  # type: ignore[attr-defined]
 
 

@@ -63,7 +63,7 @@ def source_of(folder: Path, mapping: Mapping, minus: str | None = "unloaded.npz"
 def test_the_later_recording_is_found_in_the_earlier_one(folder: Path, mapping: Mapping) -> None:
     match = nearest(motion_of(folder / "loaded.npz", mapping), [motion_of(folder / "unloaded.npz", mapping)])
     assert match is not None
-    assert match.shift == pytest.approx(LATER, abs=1e-3) and match.apart < 1e-4
+    assert match.shift == pytest.approx(LATER, abs=1e-3) and match.distance < 1e-4
 
 
 def test_the_load_remains_and_nothing_else(folder: Path, mapping: Mapping) -> None:
@@ -177,7 +177,7 @@ def test_the_same_way_at_another_speed_is_refused_for_what_it_is(folder: Path, m
         folder / "other.npz", columns | {"time": columns["time"] / speed, "velocity": speed * columns["velocity"]}
     )
     recorded, references = (read_recordings(folder / name, mapping) for name in ("first.npz", "other.npz"))
-    with pytest.raises(InputError, match=rf"the same way {speed:.2g} times as fast.*at the same speed"):
+    with pytest.raises(InputError, match=rf"the same path {speed:.2g} times as fast.*at the same speed"):
         RecordingSource.of(recorded, mapping, Model(name="nominal"), references)
 
 
@@ -206,8 +206,8 @@ def test_a_diagnosis_says_the_order_of_its_recordings(folder: Path, mapping: Map
         own = dict(np.load(folder / f"{name}.npz"))
         write_npz(tmp_path / f"{name}.npz", own | {"time": own["time"] + start})
     source = source_of(tmp_path, mapping)
-    assert any("minutes later than those of --minus" in remark for remark in source.remarks)
-    assert not any("than those of --minus" in remark for remark in source_of(folder, mapping).remarks)
+    assert any("minutes later than the recordings of --minus" in remark for remark in source.remarks)
+    assert not any("than the recordings of --minus" in remark for remark in source_of(folder, mapping).remarks)
 
 
 def test_recordings_of_one_name_are_held_out_one_by_one(mapping: Mapping, tmp_path: Path) -> None:

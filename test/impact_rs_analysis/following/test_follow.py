@@ -462,7 +462,7 @@ def test_mass_and_motors_that_hits_do_not_tell_apart_are_distinguished_by_a_lift
     heavier, as_before = (float(text.split()[0]) for text in change.apart.partition("(")[2].split(", "))
     assert min(abs(as_before - 9.81 * item.mass) for item in PUSH.objects.values()) < 0.05  # N
     assert heavier == pytest.approx(mass.estimate * as_before, rel=0.01)
-    blunt = lift._replace(least=10.0 * lift.least)
+    blunt = lift._replace(resolution=10.0 * lift.resolution)
     monkeypatch.setattr(proposals, "HITLESS_CHECKS", (blunt,))
     change = apart(tmp_path, {"object_mass": [1.1]}, ["object_mass", "motor_inertia_scale"])
     assert change.apart == "a free motion distinguishes them (motor_inertia_scale would show there)"
