@@ -177,17 +177,17 @@ def relevant_of(item: Cluster, by_limit: bool = False) -> Array:
     return np.maximum(expected_of(item, by_limit), limits)
 
 
-def level_of(what: str, clusters: Sequence[Cluster], phases: tuple[str, ...], by_limit: bool = False) -> Level:
+def level_of(text: str, clusters: Sequence[Cluster], phases: tuple[str, ...], by_limit: bool = False) -> Level:
     """Root mean square differences of the signals of some phases, over all conditions, arm by arm.
 
     Args:
-        what: Compared quantity, in words.
+        text: Compared quantity, in words.
         clusters: The conditions.
         phases: Phases of the signals; empty: all.
         by_limit: Whether differences are multiples of the relevance limit, because nothing was repeated.
     """
     signals, ratios = signal_levels(clusters, phases, by_limit=by_limit)
-    return Level(what=what, times_noise=rounded(root_mean_square(ratios)), signals=tuple(signals))
+    return Level(what=text, times_noise=rounded(root_mean_square(ratios)), signals=tuple(signals))
 
 
 def signal_levels(

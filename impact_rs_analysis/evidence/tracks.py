@@ -319,7 +319,7 @@ def _joint_states(bag: TrialBag, arm: str) -> tuple[Array, ArmSignals]:
 
 def track_of_motion(label: str, physics: Physics, motion: Motion, curves: Sequence[ComparedSignal]) -> Track:
     """A recording of free motion, with the joints of its arm only."""
-    inner = motion.kept
+    inner = motion.inner
     time = motion.time[inner]
     side = TrackSide({ARM: ArmTrack(motion.position[inner], motion.velocity[inner])}, _untracked(time))
     return Track(label, time, curves=tuple(curves), physics=physics, measured=side)

@@ -87,7 +87,7 @@ def minus_references(
             )
         reference = references[match.number]
         reference_time = motion.time + match.shift
-        first, last = reference.time[reference.kept][[0, -1]]
+        first, last = reference.time[reference.inner][[0, -1]]
         inside = np.flatnonzero((reference_time >= first) & (reference_time <= last))
         differences.append(
             replace(
@@ -95,7 +95,7 @@ def minus_references(
                 torque=motion.torque - _at(reference_time, reference.time, residuals[match.number]),
                 noise=np.hypot(motion.noise, reference.noise),
                 measured=motion.measured & reference.measured,
-                kept=slice(max(motion.kept.start, int(inside[0])), min(motion.kept.stop, int(inside[-1]) + 1)),
+                inner=slice(max(motion.inner.start, int(inside[0])), min(motion.inner.stop, int(inside[-1]) + 1)),
             )
         )
     return differences
@@ -150,8 +150,8 @@ def nearest(motion: Motion, references: Sequence[Motion]) -> Match | None:
 
 def _match(motion: Motion, number: int, reference: Motion) -> Match | None:
     """Alignment with one reference; None if it does not overlap the motion for long enough."""
-    time, position = motion.time[motion.kept], motion.position[motion.kept]
-    first, last = reference.time[reference.kept][[0, -1]]
+    time, position = motion.time[motion.inner], motion.position[motion.inner]
+    first, last = reference.time[reference.inner][[0, -1]]
     least = MIN_OVERLAP_SHARE * min(time.size / motion.rate, last - first)
 
     def distance(shift: float) -> float:

@@ -121,7 +121,7 @@ class Motion:
         velocity: dq [rad/s].
         acceleration: ddq [rad/s^2].
         torque: Recorded torque, low-passed twice [N m].
-        kept: Mask of the samples between the edges.
+        inner: Slice of the samples between the edges.
         noise: Noise of the recorded torque in ``torque``, ``(n,)`` [N m].
         motor_position: theta [rad]; NaN where a joint has no encoder at its motor.
         motor_velocity: dtheta [rad/s]; likewise.
@@ -141,7 +141,7 @@ class Motion:
     velocity: Array
     acceleration: Array
     torque: Array
-    kept: slice
+    inner: slice
     noise: Array
     measured: NDArray[np.bool_]
     motor_position: Array
@@ -309,7 +309,7 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
         velocity=dq[::stride],
         acceleration=derivative(dq)[::stride],
         torque=_low_passed_twice(raw, cut_off, sampled, stride),
-        kept=slice(edge, count - edge),
+        inner=slice(edge, count - edge),
         noise=_noise(raw, moved, turning, cut_off, sampled),
         measured=np.ptp(arm.torque, axis=0) > 0.0,
         motor_position=theta[::stride],
@@ -467,7 +467,7 @@ class TorqueBalance:
         """
         return np.concatenate(
             [
-                np.hstack((torque[motion.kept][:, self.joints], bent[motion.kept][:, self.elastic]))
+                np.hstack((torque[motion.inner][:, self.joints], bent[motion.inner][:, self.elastic]))
                 for motion, torque, bent in zip(
                     self.motions, self.predicted(physics), self._deflections(physics), strict=True
                 )
@@ -500,7 +500,7 @@ class TorqueBalance:
         delay = arm.actuation_delay + arm.readings.command_delay
         return np.concatenate(
             [
-                (np.zeros_like(motion.torque) if motion.servo is None else motion.servo.delay_loss(delay))[motion.kept]
+                (np.zeros_like(motion.torque) if motion.servo is None else motion.servo.delay_loss(delay))[motion.inner]
                 for motion in self.motions
             ]
         )[:, self.joints]
@@ -516,7 +516,7 @@ class TorqueBalance:
             carried = self._transmitted_torques(physics, number, rigid)
             bent = motion.low_pass(_deflection_derivatives(motion, carried, arm, (0,))[0] + motion.position)
             bent = bent - motion.low_pass(arm.readings.position(motion.position))  # of the encoder of the link
-            rows.append(bent - bent[motion.kept].mean(axis=0))
+            rows.append(bent - bent[motion.inner].mean(axis=0))
         return rows
 
     def _true_motions(self, readings: ArmReadings) -> list[Motion]:
@@ -588,10 +588,10 @@ class TorqueBalance:
     @cached_property
     def recorded(self) -> Array:
         """Recorded torque of :attr:`joints` and deflection of :attr:`elastic` between the edges, ``(k, m + e)``."""
-        bent = [motion.deflection[motion.kept][:, self.elastic] for motion in self.motions]
+        bent = [motion.deflection[motion.inner][:, self.elastic] for motion in self.motions]
         return np.concatenate(
             [
-                np.hstack((motion.torque[motion.kept][:, self.joints], deflection - deflection.mean(axis=0)))
+                np.hstack((motion.torque[motion.inner][:, self.joints], deflection - deflection.mean(axis=0)))
                 for motion, deflection in zip(self.motions, bent, strict=True)
             ]
         )
@@ -600,7 +600,7 @@ class TorqueBalance:
     def velocity(self) -> Array:
         """Velocities of the joints of every column of :attr:`recorded`, ``(k, m + e)`` [rad/s]."""
         columns = np.concatenate((self.joints, self.elastic))
-        return np.concatenate([motion.velocity[motion.kept][:, columns] for motion in self.motions])
+        return np.concatenate([motion.velocity[motion.inner][:, columns] for motion in self.motions])
 
     @property
     def noise(self) -> Array:

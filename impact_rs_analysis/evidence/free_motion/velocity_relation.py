@@ -78,7 +78,7 @@ class VelocityRelation:
 
     def _stacked(self, rows: Sequence[Array]) -> Array:
         """Samples between the edges of all motions, ``(k, n)``."""
-        return np.concatenate([row[motion.kept] for row, motion in zip(rows, self._motions, strict=True)])
+        return np.concatenate([row[motion.inner] for row, motion in zip(rows, self._motions, strict=True)])
 
     def _projections(self, velocity: Array) -> Array:
         """Projections c_k of a velocity by stretch, ``(K, 2 n)`` [rad/s]."""

@@ -354,7 +354,7 @@ class RecordingSource(Source):
             end_effector_mass_kg=self.mapping.end_effector.mass,
             samples=int(sum(time.size for time in times)),
             recorded_s=float(sum(time[-1] - time[0] for time in times)),
-            used_s=float(sum(m.time[m.kept].size / m.rate for m in self.motions)),
+            used_s=float(sum(m.time[m.inner].size / m.rate for m in self.motions)),
             sampled_Hz=float(1.0 / np.median(np.diff(times[0]))),
             low_pass_Hz=self.motions[0].cut_off,
             signals=self._signals,
@@ -506,7 +506,7 @@ class RecordingSource(Source):
         for label, residuals in residuals_of_model.items():
             start = 0
             for run, motion in zip(self.recordings, self.motions, strict=True):
-                rows = slice(start, start := start + motion.time[motion.kept].size)
+                rows = slice(start, start := start + motion.time[motion.inner].size)
                 measured, predicted = self.balance.recorded[rows], (self.balance.recorded - residuals)[rows]
                 curves = [
                     ComparedSignal(f"{column.signal} of joint {column.joint + 1}", column.unit, *values)
@@ -522,7 +522,7 @@ class RecordingSource(Source):
             return ()
         motions, first = [], 0
         for run, motion in zip(self.recordings, self.motions, strict=True):
-            time = motion.time[motion.kept]
+            time = motion.time[motion.inner]
             last = first + time.size
             for low, high in self._parts(numbers, first, last):
                 motions.append(
@@ -775,7 +775,7 @@ def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
         motions: Filtered recordings.
         shortest: Length of the shortest over length of the mean stretch; densities are clipped at its inverse.
     """
-    signals = [np.stack((motion.velocity, motion.acceleration))[:, motion.kept] for motion in motions]
+    signals = [np.stack((motion.velocity, motion.acceleration))[:, motion.inner] for motion in motions]
     squares = np.mean(np.square(np.concatenate(signals, axis=1)), axis=1, keepdims=True)
     densities = [(1.0 + 2.0 * np.mean(part**2 / np.maximum(squares, 1e-300), axis=(0, 2))) / 3.0 for part in signals]
     for _ in range(CLIPPING_ITERATIONS):
@@ -793,7 +793,7 @@ def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
     Raises:
         InputError: Too short for a hold-out.
     """
-    lengths = [(motion.time[motion.kept].size, motion.rate) for motion in motions]
+    lengths = [(motion.time[motion.inner].size, motion.rate) for motion in motions]
     total = sum(size / rate for size, rate in lengths)
     seconds = float(np.clip(total / TARGET_STRETCHES, MIN_STRETCH_S, MAX_STRETCH_S))
     shares = _information(motions, MIN_STRETCH_S / seconds)
@@ -803,7 +803,7 @@ def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
     for name, recording, motion, (size, rate), share in zip(names, recordings, motions, lengths, shares, strict=True):
         parts = max(1, round(size / rate / seconds))
         edges = np.searchsorted(share, np.arange(parts) / parts * share[-1]).tolist() + [size]
-        start = recording.begin + float(motion.time[motion.kept][0])
+        start = recording.begin + float(motion.time[motion.inner][0])
         for low, high in zip(edges[:-1], edges[1:], strict=True):
             label = f"{name}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
             stretches.append(Stretch(label, str(recording.path), slice(first + int(low), first + int(high))))

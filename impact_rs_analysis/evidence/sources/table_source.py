@@ -201,14 +201,14 @@ class ImpactTableSource(Source):
         map_tasks: Map | None = None,
     ) -> None:
         model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
-        known = measured_map_discrepancy() if discrepancy is None else discrepancy
+        discrepancy = measured_map_discrepancy() if discrepancy is None else discrepancy
         distinct = {id(row.physics): row.physics for row in table.rows}
         index_of = {number: index for index, number in enumerate(distinct)}
         entries = TableEntries(
             table=replace(table, variants=()),
             worlds=tuple(model.apply(physics) for physics in distinct.values()),
             world_of=tuple(index_of[id(row.physics)] for row in table.rows),
-            map_discrepancy=known if table.arms else NO_MAP_DISCREPANCY,
+            map_discrepancy=discrepancy if table.arms else NO_MAP_DISCREPANCY,
         )
         groups = conditions(table)
         self._adopt(
@@ -578,12 +578,12 @@ class ImpactTableSource(Source):
     def _features(self, added: Added) -> list[Array | None]:
         """:meth:`predict` of every cluster, cached: a diagnosis repeats requests."""
 
-        def made() -> list[Array | None]:
+        def features() -> list[Array | None]:
             entries = self._predicted_entries(added)
             clusters = [self._rows(number, entries) for number in range(len(self._groups))]
             return [rows if rows is None else rows.mean(axis=0) if self.repeated else rows.ravel() for rows in clusters]
 
-        return self._feature_cache.of(added, made)
+        return self._feature_cache.of(added, features)
 
     def _predicted_entries(self, added: Added) -> Array | None:
         """Compared entries of all rows with effects, ``(rows, F)``, nan without solution; None: no positive inertia."""

@@ -36,7 +36,7 @@ def newton_euler(balance: TorqueBalance, physics: Physics) -> np.ndarray:
     """Inverse dynamics sample by sample, low-passed."""
     (motion,), model = balance.motions, physics.robot_model(ARM)
     states = zip(motion.position, motion.velocity, motion.acceleration, strict=True)
-    return motion.low_pass(np.array([model.inverse_dynamics(*state) for state in states]))[motion.kept]
+    return motion.low_pass(np.array([model.inverse_dynamics(*state) for state in states]))[motion.inner]
 
 
 def test_the_torque_of_any_links_is_that_of_inverse_dynamics(tmp_path: Path) -> None:
@@ -72,7 +72,7 @@ def test_motors_are_accelerated_by_the_torque_that_was_measured_at_them(at_motor
     inertia = np.array([0.3, 0.2, 0.1])
     effect = {"added_motor_inertia": {f"inertia_joint{joint + 1}": value for joint, value in enumerate(inertia)}}
     change = balance.predict(with_effects(mapping, effect)) - balance.predict(with_effects(mapping, {}))
-    expected = motion.low_pass(inertia * motion.acceleration)[motion.kept] if at_motor else np.zeros_like(change)
+    expected = motion.low_pass(inertia * motion.acceleration)[motion.inner] if at_motor else np.zeros_like(change)
     np.testing.assert_allclose(change, expected, atol=1e-9)
 
 

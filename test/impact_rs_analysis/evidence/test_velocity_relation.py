@@ -42,7 +42,7 @@ def test_a_wrong_velocity_is_what_its_sensor_model_predicts(fault: Fault, tmp_pa
 def test_the_mean_of_the_first_numbers_is_the_gain_times_the_rms_velocity(tmp_path: Path) -> None:
     """v = 1.05 dq/dt in joint 2: mean 0.05 rms(dq); kills a scale by the sum of a stretch in place of the mean."""
     source = source_of(tmp_path)
-    velocity = source.motions[0].velocity[source.motions[0].kept]
+    velocity = source.motions[0].velocity[source.motions[0].inner]
     found = slopes(source, {"velocity_gain": {"gain_joint2": 1.05}}).mean(axis=0)
     rms = np.sqrt(np.mean(np.square(velocity), axis=0))
     np.testing.assert_allclose(found[:3], [0.0, -0.05 * rms[1], 0.0], atol=1e-3 * rms[1])
