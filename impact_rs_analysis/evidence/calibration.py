@@ -100,19 +100,19 @@ def file_beside(data: Path) -> Path:
     return (data.parent if data.is_file() else data) / CALIBRATION
 
 
-def calibration_of(data: Path, file: str | Path | None = None) -> LaboratoryCalibration:
+def calibration_of(data: Path, given: str | Path | None = None) -> LaboratoryCalibration:
     """The calibration of measurements; empty where there is no file.
 
     Args:
         data: Folder of the measurements, or one of its files.
-        file: File to read in place of the default one; ``nominal`` has no effects.
+        given: File to read in place of the default one; ``nominal`` has no effects.
 
     Raises:
         InputError: The file given is missing; it is no model file; it has an effect of the physics.
     """
-    if file is None:
+    if given is None:
         return calibration_in(file_beside(data))
-    return LaboratoryCalibration(check_faults(load_model(file), file), Path(file))
+    return LaboratoryCalibration(check_faults(load_model(given), given), Path(given))
 
 
 def calibration_in(file: Path) -> LaboratoryCalibration:
