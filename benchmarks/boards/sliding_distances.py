@@ -77,7 +77,8 @@ def errors_of(path: Path, flux: Array, after: Array, distance: Array) -> tuple[A
             frozen = copy.deepcopy(follower.watch.likeliest) if frozen is None else frozen
             index = int(np.argmin(np.abs(hit.measured - velocity)))
             predictions = [
-                follower.watch.hit_model.predicted(explanation, hit) for explanation in (follower.watch.likeliest, frozen)
+                follower.watch.hit_model.predicted(explanation, hit)
+                for explanation in (follower.watch.likeliest, frozen)
             ]
             speeds = [phi + float(prediction[0][index]) for prediction in predictions if prediction is not None]
             errors.append((speeds[0] ** 2 / (2.0 * MU * GRAVITY) - true, speeds[1] ** 2 / (2.0 * MU * GRAVITY) - true))
