@@ -17,13 +17,13 @@ from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_analysis.evidence.levels import Cell
 from impact_rs_analysis.evidence.replays.measured_runs import runs_digest
 from impact_rs_analysis.investigation.endings import ending_of
-from impact_rs_analysis.investigation.rounds import measured, read_rounds
+from impact_rs_analysis.investigation.rounds import planned_trials, read_rounds
 from impact_rs_analysis.investigation.settings import read_settings
 from impact_rs_analysis.report.comparison import (
     comparison_in_words,
     on_scale,
-    where_part,
-    yardstick_of_rest,
+    residuals_part,
+    yardstick_of_unexplained,
 )
 from impact_rs_analysis.report.labels import location_text, phase_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
@@ -59,7 +59,7 @@ def comparison(folder: Path) -> dict[str, Any]:
         raise InputError(f"no comparison here; expected {COMPARISON_DATA}", file=folder)
     document = validate(ComparisonDocument, data, path)
     several = len({cell.scenario for cell in document.where}) > 1
-    part, by_phase = where_part(document), not on_scale(document)
+    part, by_phase = residuals_part(document), not on_scale(document)
     return {
         "headline": comparison_in_words(document),
         "score": document.score,
@@ -154,7 +154,7 @@ def investigation(folder: Path) -> dict[str, Any]:
     return {
         "ending": ending_of(settings, rounds).model_dump(mode="json") if over else None,
         "rounds": len(rounds),
-        "trials": measured(rounds),
+        "trials": planned_trials(rounds),
     }
 
 
@@ -314,7 +314,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
         "law": form_values,
         "report": DISCOVERY_PAGE if discovered else DIAGNOSIS_PAGE,
         "unit": document.error_unit,
-        "yardstick": yardstick_of_rest(document),
+        "yardstick": yardstick_of_unexplained(document),
         "figure": None if figure is None else _drawn(figure),
         "left": [
             {

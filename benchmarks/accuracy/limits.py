@@ -174,7 +174,7 @@ def condition(number: int, draws: int, reflexes: bool = True) -> tuple[Hits, Spe
             continue
         hits = Hits(scene, limits, draws=draws, seed=number)
         limit = speed_limit(hits)
-        if 0.0 < limit.middle < np.inf:
+        if 0.0 < limit.median < np.inf:
             return hits, limit
 
 
@@ -210,11 +210,11 @@ def run(case: Case, work: Work) -> Row:
         amounts = possible(problem, draw(sources, rng))
         springs = {name: drawn_springs(arm, rng) for name, arm in scene.physics.arms.items()}
         physics, arms, body = drawn(problem, scene.models, amounts, springs)
-        speed = float(rng.uniform(0.02, 2.0)) * limit.middle
+        speed = float(rng.uniform(0.02, 2.0)) * limit.median
         moving = {name: replace(arm, velocity=speed / hits.speed * arm.velocity) for name, arm in arms.items()}
         ratios = hit(scene, physics, moving, body, options.impedance) / hits.bounds.values
         worst = int(np.argmax(ratios))
-        outcome = Outcome(number, speed, limit.speed, limit.middle, float(ratios[worst]), hits.bounds.kinds[worst])
+        outcome = Outcome(number, speed, limit.speed, limit.median, float(ratios[worst]), hits.bounds.kinds[worst])
         outcomes.append(asdict(outcome))
     return {"hits": outcomes, "assumed": scene.scenario.name != "push"}
 

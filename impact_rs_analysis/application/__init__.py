@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps of the loop as the command line, the workbench and Python take them: open measurements, compare, diagnose, add.
+"""Steps of the loop for command line, workbench and Python: open measurements, compare, diagnose, add.
 
-Nothing here prints: results are returned, and progress goes to an observer.
+No function prints: results are returned, and progress goes to an observer.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that describe the recordings of a folder, written all or none."""
+"""Description of the recordings in a folder: all its files are written, or none."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def check_undescribed(folder: Path, names: Iterable[str]) -> None:
     """
     for name in names:
         if (folder / name).exists():
-            what = (
+            reason = (
                 "this file exists already; descriptions are never overwritten: remove it to describe the folder again"
             )
-            raise InputError(what, file=folder / name)
+            raise InputError(reason, file=folder / name)
 
 
 @contextmanager
@@ -34,7 +34,7 @@ def described_folder(folder: Path, texts: Mapping[str, str]) -> Iterator[Path]:
         texts: Texts by name of the file.
 
     Yields:
-        Folder of the files until then, in which they can be tried.
+        Temporary folder with the files, for a trial reading.
 
     Raises:
         InputError: One of the files exists, or cannot be written.

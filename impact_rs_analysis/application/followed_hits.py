@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hits that are followed for a command line or a node: their source, their state file, and full diagnoses."""
+"""Following hits, for the command line and for a node: source of hits, state file, and full diagnoses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_trials.recordings.impacts.impact_table import SUFFIXES
 
-SAVE_INTERVAL_HITS = 10  # instants of hits that are there already, between two saved states
+SAVE_INTERVAL_HITS = 10  # hits between two saved states, while more hits are waiting
 
 
 def hits_options(runs: Path | None, impacts: Path | None = None, **further: Any) -> MeasurementOptions:
@@ -43,7 +43,7 @@ def hit_source_of(hits: MeasurementOptions, model: Model) -> HitSource:
         model: Nominal model, with the faults of the readings.
 
     Raises:
-        InputError: Options that do not go together, or there is no such scenario.
+        InputError: Options exclude each other, or there is no such scenario.
     """
     tolerance = hits.contact_tolerance
     if hits.impacts is None:
@@ -57,23 +57,23 @@ def hit_source_of(hits: MeasurementOptions, model: Model) -> HitSource:
 
 
 class DiagnosisOfHits(Protocol):
-    """Makes full diagnoses of the hits since one of them, one at a time."""
+    """Full diagnoses of the hits since a given hit, one at a time."""
 
     def file(self, since: str) -> Path:
         """The file of a diagnosis."""
         ...
 
     def start(self, since: str) -> None:
-        """Start a diagnosis; one that runs is stopped."""
+        """Start a diagnosis; a running one is stopped."""
         ...
 
     def stop(self) -> None:
-        """Stop the one that runs."""
+        """Stop the running diagnosis."""
         ...
 
 
 class FollowedHits:
-    """A follower of hits with its state file, and the full diagnosis that a change calls for.
+    """A follower of hits with its state file, and a full diagnosis after every change.
 
     Args:
         hits: Source of hits.
@@ -87,13 +87,13 @@ class FollowedHits:
     ) -> None:
         self.hits, self.follower, self._state, self._diagnosis = hits, follower, state, diagnosis
         self._due = False
-        self._taken = 0
+        self._handled_count = 0
 
     def restore(self) -> int:
         """Restore the state file; returns the number of earlier hits.
 
         Raises:
-            InputError: It is no state file of this model and these hits.
+            InputError: The file does not belong to this model and these hits.
         """
         if self._state is None or not self._state.exists():
             return 0
@@ -110,7 +110,7 @@ class FollowedHits:
         """
         for document in self.follower.arrived(self._handled):
             if document.change is not None and self._diagnosis is not None:
-                self._diagnosis.stop()  # its hits are no longer alike
+                self._diagnosis.stop()  # its hits are from before and after the change
                 self._due = True
             yield document
 
@@ -137,13 +137,13 @@ class FollowedHits:
         return f"full diagnosis of the {len(changed.conditions)} hits since {changed.since} has begun"
 
     def _handled(self) -> None:
-        self._taken += 1
-        if self._taken % SAVE_INTERVAL_HITS == 0 or not self.follower.hit_source.waiting:
+        self._handled_count += 1
+        if self._handled_count % SAVE_INTERVAL_HITS == 0 or not self.follower.hit_source.waiting:
             self.save()
 
 
 def diagnose_options(hits: MeasurementOptions, model: str, effects: Sequence[str] | None = None) -> dict[str, Any]:
-    """Options of ``impact-rs diagnose`` for the same measurements, model and named effects."""
+    """Options of ``impact-rs diagnose`` for the measurements of a follower, a model and named effects."""
     return {
         "runs": hits.runs,
         "impacts": hits.impacts,
@@ -156,8 +156,8 @@ def diagnose_options(hits: MeasurementOptions, model: str, effects: Sequence[str
     }
 
 
-def folder_of_diagnoses(given: Path | None, state: Path | None) -> Path:
-    """Folder of full diagnoses: the given one, else the state file's, else the working directory."""
-    if given is not None:
-        return given
+def folder_of_diagnoses(folder: Path | None, state: Path | None) -> Path:
+    """Folder of full diagnoses: ``folder``, or the folder of the state file, or the working directory."""
+    if folder is not None:
+        return folder
     return Path() if state is None else state.parent

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steps of the loop on measurements that were read: compare, diagnose, report, add."""
+"""The steps of the loop on measurements: compare, diagnose, report, add."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from impact_rs_sim.effects.formula import FormulaEffect, load_formulas
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, ModelEffect, load_model, save_model
 
-KNOWN = (
-    "what the calibration says of {names} was taken as right, and not looked for; with --calibration nominal the data "
-    "alone say it"
+CALIBRATED_REMARK = (
+    "the calibrated faults {names} were taken as exact and were not diagnosed; --calibration nominal diagnoses them "
+    "from the data alone"
 )
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 NO_LINKS: Mapping[str, str] = MappingProxyType({})
@@ -53,7 +53,7 @@ def report_comparison(
     directory: Path,
     links: Mapping[str, str] = NO_LINKS,
 ) -> Path:
-    """Write the report of a comparison; its page.
+    """Write the report of a comparison, and return its page.
 
     Args:
         document: The comparison.
@@ -70,7 +70,7 @@ def report_comparison(
 
 
 def errors_of_versions(measurements: Measurements, model_file: Path, model: Model) -> list[VersionError] | None:
-    """Errors of a model and its parents; None: it has neither a parent nor a calibration."""
+    """Errors of a model and its parents; None without a parent and a calibration."""
     if model.parent is None and not measurements.calibration:
         return None
     return history(model_file, measurements.uncalibrated, measurements.calibration)
@@ -84,27 +84,27 @@ def with_formulas(model: Model, path: Path | None) -> Model:
     """
     if path is None:
         return model
-    own = load_formulas(path)
-    check_formulas(own.values(), model.known_effects, path)
-    return model.model_copy(update={"formulas": (*model.formulas, *(effect.spec for effect in own.values()))})
+    formulas = load_formulas(path)
+    check_formulas(formulas.values(), model.known_effects, path)
+    return model.model_copy(update={"formulas": (*model.formulas, *(effect.spec for effect in formulas.values()))})
 
 
-def check_formulas(effects: Iterable[FormulaEffect], known: Iterable[str], place: Path | str) -> None:
-    """Check effects of an own formula file.
+def check_formulas(effects: Iterable[FormulaEffect], present: Iterable[str], file: Path | str) -> None:
+    """Check the effects of a formula file.
 
     Args:
         effects: The effects.
-        known: Names that are taken.
-        place: File, for messages.
+        present: Names that exist already.
+        file: File, for messages.
 
     Raises:
         InputError: A name is taken, or a formula gives no finite value.
     """
-    effects, taken = list(effects), set(known)
+    effects, names = list(effects), set(present)
     for effect in effects:
-        if effect.name in taken:
-            raise InputError(f"there is already an effect called {effect.name!r}; give yours another name", file=place)
-    try_out(effects, place)
+        if effect.name in names:
+            raise InputError(f"there is already an effect called {effect.name!r}; give yours another name", file=file)
+    try_out(effects, file)
 
 
 def check_effects(model: Model, names: Sequence[str] | None) -> None:
@@ -113,29 +113,30 @@ def check_effects(model: Model, names: Sequence[str] | None) -> None:
     Raises:
         InputError: An unknown effect, or an effect of the model.
     """
-    known = model.known_effects
+    library = model.known_effects
     present = {item.name for item in model.effects}
     for name in names or []:
-        if name not in known:
+        if name not in library:
             raise InputError(
-                f"no effect {name!r}{did_you_mean(name, known)}; known effects: {', '.join(sorted(known))}"
+                f"no effect {name!r}{did_you_mean(name, library)}; known effects: {', '.join(sorted(library))}"
             )
         if name in present:
             raise InputError(f"model {model.name!r} has effect {name!r} already; diagnose looks for missing effects")
 
 
 def check_uncalibrated(calibration: LaboratoryCalibration, names: Sequence[str] | None) -> None:
-    """Check that effects are looked for, and not known.
+    """Check that no effect to consider is calibrated.
 
     Raises:
-        InputError: An effect of the calibration.
+        InputError: The calibration has one of the effects.
     """
-    for place, item in enumerate(calibration.faults.effects):
-        if item.name in (names or ()):
+    for index, effect in enumerate(calibration.faults.effects):
+        if effect.name in (names or ()):
             raise InputError(
-                f"{item.name} is calibrated and not looked for; --calibration nominal diagnoses without this file",
+                f"{effect.name} is calibrated and therefore not diagnosed; --calibration nominal diagnoses without "
+                "this file",
                 file=calibration.file,
-                key=f"effects.{place}.name",
+                key=f"effects.{index}.name",
             )
 
 
@@ -154,10 +155,10 @@ def diagnose_measurements(
     Args:
         measurements: The measurements.
         model: The model of its file.
-        extended: The same with further formulas (:func:`with_formulas`); None: without.
+        extended: The model with further formulas (:func:`with_formulas`); None: no further formulas.
         only: Names of the effects to consider; None: all.
         rank: Called with effects and their held-out error during the search.
-        bounds: Ranges of parameters that the user knows better.
+        bounds: Ranges of parameters from the user.
         options: Options of the command, for the document.
         budget: Processor time of the diagnosis.
 
@@ -168,14 +169,14 @@ def diagnose_measurements(
     extended = model if extended is None else extended
     with measurements.progress():
         document = diagnose(measurements.against(extended), model, only, rank, bounds, budget=budget)
-    known = CalibrationIdentity.of(measurements.calibration)
-    taken = () if known is None else (KNOWN.format(names=", ".join(known.effects)),)
+    calibration = CalibrationIdentity.of(measurements.calibration)
+    remarks = () if calibration is None else (CALIBRATED_REMARK.format(names=", ".join(calibration.effects)),)
     return document.model_copy(
         update={
             "formulas": tuple(spec for spec in extended.formulas if spec not in model.formulas),
             "options": dict(options),
-            "calibration": known,
-            "remarks": (*taken, *document.remarks),
+            "calibration": calibration,
+            "remarks": (*remarks, *document.remarks),
         }
     )
 
@@ -183,13 +184,13 @@ def diagnose_measurements(
 def report_diagnosis(
     document: DiagnosisDocument, measurements: Measurements, model_file: Path, model: Model, directory: Path
 ) -> Path:
-    """Write the report of a diagnosis; its page.
+    """Write the report of a diagnosis, and return its page.
 
     Args:
         document: The diagnosis.
         measurements: The measurements.
         model_file: File of the diagnosed model.
-        model: The same, knowing all formulas that were considered.
+        model: The diagnosed model with all formulas that were considered.
         directory: Folder of the report.
     """
     with measurements.progress():
@@ -226,7 +227,7 @@ class Addition:
             output: File of the new model.
 
         Raises:
-            InputError: One cannot be written.
+            InputError: A file cannot be written.
         """
         if self.child is not None:
             assert output is not None
@@ -251,11 +252,11 @@ def addition_of(
     """Diagnosed effects added to a model and a calibration; nothing is written yet.
 
     Args:
-        effects: Their names.
+        effects: Names of the effects.
         model_file: The diagnosed model.
         source: The diagnosis, or a discovery.
         output: File of the new model, which has effects of the physics.
-        calibration: File of the calibration; None: the one of the diagnosed measurements.
+        calibration: File of the calibration; None: the calibration of the diagnosed measurements.
         force: Whether to add effects that were not confirmed.
 
     Raises:
@@ -264,19 +265,19 @@ def addition_of(
     model, document = load_model(model_file), read_document(source)
     faults = faults_among(effects, model, document)
     physics = [name for name in effects if name not in faults]
-    child, known = None, None
+    child, calibration_with_faults = None, None
     if physics and output is None:
         raise InputError(f"{', '.join(physics)} of the physics goes into a new model file; name it with -o FILE.yaml")
     if physics and output is not None:
         child = add_effects(model, model_file, document, source, physics, output, force)
     if faults:
         file = calibration_file(document, source) if calibration is None else calibration
-        known = add_faults(calibration_in(file), document, source, faults, force)
+        calibration_with_faults = add_faults(calibration_in(file), document, source, faults, force)
     return Addition(
         model,
         child,
-        known,
+        calibration_with_faults,
         tuple(item for item in (child or model).effects if item.name in physics),
-        tuple(item for item in (known or NO_CALIBRATION).faults.effects if item.name in faults),
+        tuple(item for item in (calibration_with_faults or NO_CALIBRATION).faults.effects if item.name in faults),
         document,
     )

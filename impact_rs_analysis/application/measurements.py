@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measurements to compare with a model: trials, runs of a laboratory, recordings of free motion, a table of impacts.
 
-``MeasurementOptions`` says which measurements, ``open_measurements`` reads them once, and ``Measurements.against``
-holds them against any model::
+``MeasurementOptions`` selects measurements, ``open_measurements`` reads them once, and ``Measurements.against``
+compares them with any model::
 
     measurements = open_measurements(MeasurementOptions(runs=Path("campaigns/example")))
     source = measurements.against(load_model("nominal"))
@@ -43,7 +43,7 @@ from impact_rs_trials.workers import Map
 
 DEFAULT_MAPPING = "joint_state"
 
-MIN_PARALLEL_RUNS = 50  # fewer are read sooner in one process: about 0.2 s each, and worker processes start in seconds
+MIN_PARALLEL_RUNS = 50  # fewer are read faster in one process: 0.2 s per run, against seconds to start workers
 SourceOfModel = Callable[[Model, ReplayCache], Source]  # the cache keeps the replays of runs
 
 
@@ -63,19 +63,19 @@ class MeasurementOptions:
     Attributes:
         runs: Folder of trials, of runs or of recordings, or one recording.
         impacts: Table of impacts.
-        experiment: Experiment file of a laboratory's runs; None: the one in their folder, where neither ``mapping`` nor
-            ``minus`` says that they are recordings of free motion. Without one they are trials or recordings.
+        experiment: Experiment file of a laboratory's runs; None: the file in their folder, unless ``mapping`` or
+            ``minus`` marks them as recordings of free motion. Without such a file they are trials or recordings.
         mapping: Mapping of recordings, by name or path; None: ``joint_state`` where the files are no trials.
-        minus: The same recordings without the payload, whose torque is subtracted.
+        minus: Recordings of the same motion without the payload, whose torque is subtracted.
         scenario: Scenario of a table of impacts, by name or path; None: free bodies.
         contact_tolerance: Largest distance of a contact point of a table of impacts beyond the nearest one [m]; None:
             the default.
         covariates: Further columns of a table of impacts on which an effect may depend.
         unsure: Ranges of uncertain quantities of an impact table, by name.
-        since: Only what was measured from this time on, or from this run or row on.
-        calibration: Model file of faults of the readings; None: the one next to the measurements, if there is one.
+        since: Time, run or row; earlier measurements are left out.
+        calibration: Model file of faults of the readings; None: the file next to the measurements, if there is one.
         exact: Whether the model discrepancy of simulation or impact map is ignored.
-        each_arm: Whether arms of one kind have parameters of their own.
+        each_arm: Whether arms of one kind have separate parameters.
     """
 
     runs: Path | None = None
@@ -123,7 +123,7 @@ class Measurements:
         map_tasks: Parallel map.
         observer: Shows progress and warnings.
         source: Makes the source of evidence for a model.
-        trials: Trials or runs; None: something else.
+        trials: Trials or runs; None for other measurements.
         kind: Kind of the measurements.
         calibration: Faults of the readings.
     """
@@ -157,8 +157,8 @@ class Measurements:
         """The measurements against a model, with the faults of the readings.
 
         Raises:
-            InputError: With this model nothing is hit, or the model blows up; a recording cannot be used; model and
-                calibration do not fit together.
+            InputError: No hit occurs with this model, or the model diverges; a recording cannot be used; model and
+                calibration exclude each other.
         """
         return self.uncalibrated(self.calibration.of(model))
 
@@ -175,7 +175,7 @@ class Measurements:
 
         Args:
             model: The model.
-            added: Effects found in addition; for recordings and impacts shown next to the model.
+            added: Further effects; for recordings and impacts they are shown next to the model.
         """
         return self.against(model).tracks(self._map, added)
 
@@ -184,7 +184,7 @@ def open_measurements(options: MeasurementOptions, map_tasks: Map = map, observe
     """Read measurements of any kind.
 
     Args:
-        options: Which, and how.
+        options: Which measurements, and how they are read.
         map_tasks: Parallel map; the built-in one works in this process.
         observer: Shows progress and warnings.
 
@@ -222,8 +222,8 @@ def measurements_of_trials(trials: Runs, map_tasks: Map = map, observer: Observe
 def read_measurements(data: str | Path, model: Model | str | Path = "nominal", map_tasks: Map = map) -> Source:
     """Measurements of a folder next to the predictions of a model.
 
-    Trials of impact_rs, runs of a laboratory, whose folder has an ``experiment.yaml``, or recordings of free motion.
-    The ``calibration.yaml`` there, if there is one, corrects the readings.
+    A folder has trials of impact_rs, runs of a laboratory with an ``experiment.yaml``, or recordings of free motion.
+    A ``calibration.yaml`` in it corrects the readings.
 
     Args:
         data: Folder of the bags, or one recording.
@@ -231,7 +231,7 @@ def read_measurements(data: str | Path, model: Model | str | Path = "nominal", m
         map_tasks: Parallel map; the built-in one works in this process.
 
     Raises:
-        InputError: There is no usable run; a file cannot be used; with this model nothing is hit.
+        InputError: There is no usable run; a file cannot be used; no hit occurs with this model.
     """
     data = Path(data).absolute()
     options = MeasurementOptions(runs=data)
@@ -251,7 +251,9 @@ def read_trials(directory: Path, map_tasks: Map = map, observer: Observer = SILE
         InputError: There is no usable trial.
     """
     with observer.progress("reading bags") as report:
-        runs = read_runs(directory.absolute(), _with_progress(map_tasks, report))  # a worker may have another directory
+        runs = read_runs(
+            directory.absolute(), _with_progress(map_tasks, report)
+        )  # workers may have another working directory
     warn_skipped(runs.skipped, observer)
     return runs
 
@@ -292,7 +294,7 @@ def read_table(options: MeasurementOptions) -> ImpactTable:
 
 
 def _source_of_runs(runs: Runs, discrepancy: Discrepancy | None, each_arm: bool) -> SourceOfModel:
-    """Replays of runs under a model; ``discrepancy`` None: of the shipped simulators."""
+    """Replays of runs under a model; ``discrepancy`` None: the discrepancy of the shipped simulators."""
     return lambda model, cache: ReplaySource.of(runs, model, cache, discrepancy, each_arm)
 
 
@@ -306,17 +308,17 @@ def _source_of_table(options: MeasurementOptions, map_tasks: Map) -> SourceOfMod
 def _source_of_recordings(options: MeasurementOptions) -> SourceOfModel:
     """Recordings of free motion against a model."""
     mapping = load_mapping(options.mapping or DEFAULT_MAPPING)
-    recordings, left_out = read_long_enough(options.data, mapping)
-    minus, short = ([], []) if options.minus is None else read_long_enough(options.minus, mapping)
-    return lambda model, _: RecordingSource.of(recordings, mapping, model, minus, [*left_out, *short])
+    recordings, skipped = read_long_enough(options.data, mapping)
+    minus, skipped_minus = ([], []) if options.minus is None else read_long_enough(options.minus, mapping)
+    return lambda model, _: RecordingSource.of(recordings, mapping, model, minus, [*skipped, *skipped_minus])
 
 
 def _with_progress(map_tasks: Map, report: Report) -> Map:
     """A map that reports its progress; few runs are read in this process."""
 
     def mapped(function: Any, items: Any) -> Iterator[Any]:
-        spread = map_tasks if len(items) >= MIN_PARALLEL_RUNS else map
-        for number, result in enumerate(spread(function, items), start=1):
+        map_items = map_tasks if len(items) >= MIN_PARALLEL_RUNS else map
+        for number, result in enumerate(map_items(function, items), start=1):
             report(number, len(items))
             yield result
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who watches a step that takes long, and reads its warnings."""
+"""Observer of a long step: shows its progress and warnings."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Protocol
 
 from impact_rs_analysis.evidence.replays.replay_cache import Progress
 
-MAX_SHOWN_FILES = 5  # of a message about bags or runs
+MAX_SHOWN_FILES = 5  # in warnings about bags or runs
 
-Report = Callable[[int, int], None]  # items done, and all items
+Report = Callable[[int, int], None]  # number of items done, number of all items
 
 
 class Observer(Protocol):
@@ -23,7 +23,7 @@ class Observer(Protocol):
         ...
 
     def stages(self) -> AbstractContextManager[Progress]:
-        """Progress of work in several stages, which each report names."""
+        """Progress of work in several stages; every report names its stage."""
         ...
 
     def rank(self, name: str, error: float) -> None:

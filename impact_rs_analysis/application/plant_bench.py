@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our plant as the bench of an investigation."""
+"""The simulated plant as the bench of an investigation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_analysis.investigation.loop import Against
 from impact_rs_analysis.investigation.rounds import PlannedTrial, WantedTrials, trials_of
-from impact_rs_analysis.investigation.rule_design import simple_design
+from impact_rs_analysis.investigation.rule_design import rule_design
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -31,7 +31,7 @@ NO_SECRET = Secret((), None, 0.0, "")
 
 
 class PlantBench:
-    """Our plant in this program.
+    """The simulated plant in this process.
 
     Args:
         directory: Folder of the investigation.
@@ -39,7 +39,7 @@ class PlantBench:
         map_tasks: Workers.
         observer: Shows progress and warnings.
         secret: Hidden effect of the plant.
-        record: Records a trial; :func:`run_task` on another cell than our plant.
+        record: Records a trial; by default :func:`run_task` on the plant.
     """
 
     def __init__(
@@ -54,8 +54,8 @@ class PlantBench:
         self.runs, self.settings, self.secret = directory / RUNS, settings, secret
         self._record = record
         self.map_tasks, self.observer = map_tasks, observer
-        self._store = ReplayCache(map_tasks)
-        self._known: tuple[int, Runs, dict[str, Source]] | None = None
+        self._cache = ReplayCache(map_tasks)
+        self._read: tuple[int, Runs, dict[str, Source]] | None = None
 
     @property
     def rank(self) -> ProgressCallback:
@@ -67,60 +67,61 @@ class PlantBench:
         self.runs.mkdir(parents=True, exist_ok=True)
         runs, secret = str(self.runs.absolute()), self.secret
         tasks = [
-            BlindTask(runs, one.trial, secret.hidden, secret.outside, secret.strength, one.folder) for one in trials
+            BlindTask(runs, planned.trial, secret.hidden, secret.outside, secret.strength, planned.folder)
+            for planned in trials
         ]
         with self.observer.progress("trials") as report:
-            for count, (one, outcome) in enumerate(
+            for count, (planned, outcome) in enumerate(
                 zip(trials, self.map_tasks(self._record, tasks), strict=True), start=1
             ):
                 if outcome != "OK":
-                    self.observer.warn(f"{one.path}: {outcome}")
+                    self.observer.warn(f"{planned.path}: {outcome}")
                 report(count, len(tasks))
 
     def read(self) -> Against:
-        """All trials against a model; bags are read again only if there are more."""
+        """All trials against a model; bags are read again only if new ones exist."""
         runs = self._runs()
-        assert self._known is not None
-        sources = self._known[2]
+        assert self._read is not None
+        sources = self._read[2]
 
         def against(model: Model) -> Source:
             key = f"{model.digest} {[spec.name for spec in model.formulas]}"
             if key not in sources:
-                sources[key] = ReplaySource.of(runs, model, self._store)
+                sources[key] = ReplaySource.of(runs, model, self._cache)
             return sources[key]
 
         return against
 
     def _runs(self) -> Runs:
         count = sum(1 for _ in self.runs.rglob(BAG_METADATA))
-        if self._known is None or self._known[0] != count:
-            self._known = count, self.measured_runs(), {}
-        return self._known[1]
+        if self._read is None or self._read[0] != count:
+            self._read = count, self.measured_runs(), {}
+        return self._read[1]
 
     def measured_runs(self) -> Runs:
         """All trials."""
         return read_trials(self.runs, self.map_tasks, self.observer)
 
     def design(self, wanted: WantedTrials) -> ExperimentPlan:
-        """The most decisive trials for the open question; by rule if no plan is possible."""
-        limits = Envelope(cell=self.settings.envelope)
+        """The most decisive trials for the open question; trials by rule if no plan is possible."""
+        envelope = Envelope(cell=self.settings.envelope)
         try:
-            decide, known = None, wanted.model
+            decision, model = None, wanted.model
             if (document := wanted.document) is not None:
-                decide, known = left_open(document, known), considered(document, known)
-            if decide is None:
+                decision, model = left_open(document, model), considered(document, model)
+            if decision is None:
                 effects = wanted.show or self.settings.effects
-                decide = missing_effect(effects, whether_any=bool(wanted.done) and document is None)
+                decision = missing_effect(effects, whether_any=bool(wanted.done) and document is None)
             runs = self._runs() if wanted.done else None
             with self.observer.stages() as stage:
                 plan = design(
-                    known,
+                    model,
                     self.settings.scenarios,
                     wanted.budget,
                     self.map_tasks,
-                    decide,
+                    decision,
                     runs,
-                    envelope=limits,
+                    envelope=envelope,
                     seed=wanted.seed,
                     progress=stage,
                 )
@@ -128,14 +129,14 @@ class PlantBench:
             return plan
         except InputError as error:
             self.observer.warn(f"trials by rule instead of by design: {error}")
-            return simple_design(self.settings, wanted)
+            return rule_design(self.settings, wanted)
 
     def check(self, plan: ExperimentPlan) -> None:
         """Refuse a plan that leaves the envelope.
 
         Raises:
-            InputError: It does.
+            InputError: A trial is outside the envelope.
         """
         if self.settings.envelope is not None:
-            for one in trials_of(plan, ""):
-                self.settings.envelope.check(one.trial.spec)
+            for planned in trials_of(plan, ""):
+                self.settings.envelope.check(planned.trial.spec)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a folder that are shown one by one, in 3D and over time."""
+"""Pages of single runs of a folder, in 3D and over time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from impact_rs_trials.workers import Map
 
 @contextmanager
 def _unreadable_is_an_input_error(path: Path) -> Iterator[None]:
-    """A bag is read bit by bit: errors come while its page is made."""
+    """Errors of a bag occur while its page is made, because topics are read one by one."""
     try:
         yield
     except BagError as error:
@@ -39,7 +39,7 @@ def page_of_trial(path: Path) -> TrialPage:
 
 
 def write_page_of_trial(path: Path, page: Path) -> Path:
-    """Write the page of a recorded trial; where it is.
+    """Write the page of a recorded trial, and return its path.
 
     Args:
         path: The trial.
@@ -53,10 +53,10 @@ def write_page_of_trial(path: Path, page: Path) -> Path:
 
 
 def run_names(folder: Path) -> list[str]:
-    """Names of the trials in a folder, in order; of a described laboratory the runs of its table, by their paths.
+    """Names of the trials in a folder, in order; for a described laboratory the paths of the runs in its table.
 
     Raises:
-        InputError: It is no folder, or a laboratory whose table of runs cannot be read.
+        InputError: There is no such folder, or the table of runs of a laboratory cannot be read.
     """
     if not folder.is_dir():
         raise InputError("expected the folder of a campaign", file=folder)
@@ -72,12 +72,12 @@ def laboratory_run(folder: Path, experiment: Path | None, name: str, map_tasks: 
 
     Args:
         folder: Folder of the runs.
-        experiment: Experiment file; None: the one of the folder.
+        experiment: Experiment file; None: the file in the folder.
         name: Name of the run, or its path in the folder.
         map_tasks: Parallel map.
 
     Raises:
-        InputError: The folder is not described, or there is no such run, or it cannot be read.
+        InputError: The folder is not described, there is no such run, or the run cannot be read.
     """
     file = experiment_file_in(folder) if experiment is None else experiment
     if file is None:

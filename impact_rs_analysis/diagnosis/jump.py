@@ -21,7 +21,7 @@ from impact_rs_analysis.evidence.replays.ante_impact import problem_of
 from impact_rs_analysis.evidence.replays.features import SETTLED_WINDOW
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.sources.run_source import clusters_of
-from impact_rs_analysis.measure.departure import departures, objects_left
+from impact_rs_analysis.measure.departure import departures, object_departures
 from impact_rs_analysis.measure.linear_fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
@@ -134,7 +134,7 @@ def _left_the_pad(key: tuple[str, str, str], runs: Sequence[MeasuredRun]) -> lis
             movements.append(departures(bag, {arm: bag.controller(arm) for arm in run.physics.arms}))
         except BagError:
             continue
-    return [f"{departed.object} {departed.case}: {departed.words}" for departed in objects_left({key: movements})]
+    return [f"{departed.object} {departed.case}: {departed.words}" for departed in object_departures({key: movements})]
 
 
 def _scale(run: MeasuredRun) -> float:

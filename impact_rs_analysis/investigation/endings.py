@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.verdict import NOTHING
-from impact_rs_analysis.investigation.rounds import Round, added, laws_added, measured, newest_model
+from impact_rs_analysis.investigation.rounds import Round, added_effects, laws_added, newest_model, planned_trials
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
@@ -27,7 +27,7 @@ class Ending(Schema):
     summary: str = Field(description="the end in words")
     model: str = Field(description="file of the last model")
     effects: tuple[str, ...] = Field((), description="effects that it has beyond the first model")
-    laws: tuple[str, ...] = Field((), description="those of them that are laws beyond the library")
+    laws: tuple[str, ...] = Field((), description="which of these effects are laws beyond the library")
     candidates: tuple[str, ...] = Field((), description="effects and laws that may be missing where it is undecided")
     not_excluded: tuple[str, ...] = Field(
         (), description="effects that could be there at a noticeable size, and that the trials would hardly show"
@@ -54,13 +54,13 @@ def read_ending(directory: Path) -> Ending:
 
 
 def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
-    """The end that the last decision says."""
+    """The end of an investigation, from its last decision."""
     last = rounds[-1].decision
     assert last is not None and last.action == "end"
     certain = last.verdict in (EXPLAINED, LAW)
-    names = tuple(sorted(added(rounds))) if certain else ()
+    names = tuple(sorted(added_effects(rounds))) if certain else ()
     candidates = tuple(dict.fromkeys(name for group in last.tied for name in group))
-    what = {
+    opening = {
         EXPLAINED: f"Missing: {' and '.join(names)}.",
         LAW: f"Missing, by a law that holds: {' and '.join(names)}.",
         MISSES_NOTHING: "Nothing is missing.",
@@ -68,39 +68,39 @@ def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
     }[last.verdict]
     return Ending(
         verdict=last.verdict,
-        summary=f"{what} {last.reason}{_of_the_laboratory(names)}",
+        summary=f"{opening} {last.reason}{_of_the_laboratory(names)}",
         model=newest_model(settings, rounds) if certain else settings.model,
         effects=names,
         laws=laws_added(rounds) if certain else (),
         candidates=candidates,
         not_excluded=last.not_excluded,
-        trials=measured(rounds),
+        trials=planned_trials(rounds),
         rounds=len(rounds),
     )
 
 
 def _of_the_laboratory(names: Sequence[str]) -> str:
-    """Text on the effects of a model that are sensor faults."""
+    """Remark on the effects of a model that are faults of the readings."""
     faults = [name for name in names if name in library() and library()[name].of_measurement]
     if not faults:
         return ""
     return (
         f" Of these {' and '.join(faults)} {'is a fault' if len(faults) == 1 else 'are faults'} of this laboratory's "
-        "readings: for another laboratory move it from the model to a calibration.yaml beside the trials."
+        "readings: for another laboratory move it from the model to a calibration.yaml next to the trials."
     )
 
 
 def judged(ending: Ending, kind: str, hidden: Sequence[str], laws: Collection[str] | None = None) -> tuple[bool, bool]:
-    """Whether an end is right, and whether it is surely wrong.
+    """Whether an end is right, and whether it is certainly wrong.
 
-    Right is: every hidden effect and no other, or undecided among candidates with all of them; where nothing is hidden,
-    NOTHING-MISSING; of a cause outside the library, a law for it that holds and no other effect, or undecided with such
-    a law among the candidates or without any candidate. An undecided end is never surely wrong, nor is one that misses
-    only hidden effects that it says are not excluded.
+    A right end is one of these: all hidden effects and no other; undecided, with all hidden effects among the
+    candidates; NOTHING-MISSING, if nothing is hidden. For a cause outside the library: a law for it that holds and no
+    other effect; undecided, with such a law among the candidates or without candidates. An undecided end is never
+    certainly wrong, nor an end that misses only hidden effects which it lists as not excluded.
 
     Args:
         ending: The end.
-        kind: Kind of what is hidden, one of ``KINDS``.
+        kind: Kind of the hidden cause, one of ``KINDS``.
         hidden: Hidden effects of the library, or the cause outside it.
         laws: Names of the laws that are right for a cause outside the library; None: of every law.
     """

@@ -11,7 +11,7 @@ model the mean of n_c repeats has the covariance
 
     V_c = S / n_c + P_c^T P_c + diag(l^2 / 4 u^2)
 
-with the scatter S and the patterns P of discrepancy and clock, whose amplitudes conditions share that are alike. For a
+with the scatter S and the patterns P of discrepancy and clock; similar conditions share their amplitudes. For a
 known S, Q is about E / g times chi square with g degrees of freedom (Box 1954, *Some theorems on quadratic forms*,
 Annals of Mathematical Statistics 25),
 
@@ -50,63 +50,69 @@ MAX_FREEDOM = 1e6  # degrees of freedom that stand for infinitely many
 SCATTER_QUANTILES = (np.arange(400) + 0.5) / 400  # of the scale of the scatter, over which p is averaged
 
 
-def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> float | None:
-    """p-value of the error of a model, if it is right; None: nothing is tested, or no repeats say what scatter is.
+def p_of_error(clusters: Sequence[Cluster], tested_rows: Sequence[Sequence[int]]) -> float | None:
+    """p-value of the error of a model under the hypothesis that it is right; None without tested repeats or scatter.
 
     Args:
         clusters: All conditions, with the residuals of the model.
-        tested: By condition, the repeats whose error is tested; contrasts among all of them count.
+        tested_rows: Repeats whose error is tested, by condition; the scatter is from the contrasts among all repeats.
     """
-    error, fixed, scattered = 0.0, 0.0, 0.0  # Q, and E without and with scatter
+    q, expected_systematic, expected_scatter = 0.0, 0.0, 0.0  # Q, and E without and with scatter
     squares = np.zeros(3)  # tr V^2 by powers of the scatter
-    uncertain = 0.0  # tr (sum_c S / n_c)^2 / m
-    together: dict[str, list[Array]] = defaultdict(list)  # products of patterns, by conditions that share amplitudes
-    for layout in dict.fromkeys(item.layout for item in clusters):
-        own = [(item, list(rows)) for item, rows in zip(clusters, tested, strict=True) if item.layout == layout]
-        contrasts = np.vstack([scipy.linalg.helmert(item.count) @ (item.sigma * item.residuals) for item, _ in own])
+    scatter_variance = 0.0  # tr (sum_c S / n_c)^2 / m
+    by_group: dict[str, list[Array]] = defaultdict(list)  # products of patterns, by conditions that share amplitudes
+    for layout in dict.fromkeys(cluster.layout for cluster in clusters):
+        of_layout = [
+            (cluster, list(rows))
+            for cluster, rows in zip(clusters, tested_rows, strict=True)
+            if cluster.layout == layout
+        ]
+        contrasts = np.vstack(
+            [scipy.linalg.helmert(cluster.count) @ (cluster.sigma * cluster.residuals) for cluster, _ in of_layout]
+        )
         if not (count := len(contrasts)):
             continue
-        spread = 0.0
-        for item, rows in own:
+        root_sum = 0.0
+        for cluster, rows in of_layout:
             if not rows:
                 continue
-            own_share = np.sqrt(np.maximum(1.0 - np.square(item.pure_error), 0.0))  # u / sigma
-            weight = np.divide(1.0, own_share, out=np.zeros_like(own_share), where=own_share > 0.0)
-            weight /= np.sqrt(own_share.size)
-            scatter = weight * contrasts / item.sigma / np.sqrt(count * len(rows))
-            limit = item.limit_squares * np.square(weight)
-            shared = weight * _shared(item)
+            systematic_share = np.sqrt(np.maximum(1.0 - np.square(cluster.pure_error), 0.0))  # u / sigma
+            weight = np.divide(1.0, systematic_share, out=np.zeros_like(systematic_share), where=systematic_share > 0.0)
+            weight /= np.sqrt(systematic_share.size)
+            scatter = weight * contrasts / cluster.sigma / np.sqrt(count * len(rows))
+            limit = cluster.limit_squares * np.square(weight)
+            shared = weight * _shared(cluster)
             square, systematic = _trace_of_square(scatter, count), shared.T @ shared + np.diag(limit)
-            error += float(np.sum(np.square(weight * item.residuals[rows].mean(axis=0))))
-            fixed += float(np.trace(systematic))
-            scattered += float(np.sum(np.square(scatter)))
-            mixed = float(np.sum(scatter @ systematic * (2.0 * scatter)))
-            squares += (float(np.sum(np.square(systematic))), mixed, square)
-            spread += np.sqrt(square)
-            together[item.discrepancy_group].append(shared @ shared.T)
-        uncertain += spread**2 / count
-    for group in together.values():
+            q += float(np.sum(np.square(weight * cluster.residuals[rows].mean(axis=0))))
+            expected_systematic += float(np.trace(systematic))
+            expected_scatter += float(np.sum(np.square(scatter)))
+            cross_term = float(np.sum(scatter @ systematic * (2.0 * scatter)))
+            squares += (float(np.sum(np.square(systematic))), cross_term, square)
+            root_sum += np.sqrt(square)
+            by_group[cluster.discrepancy_group].append(shared @ shared.T)
+        scatter_variance += root_sum**2 / count
+    for group in by_group.values():
         squares[0] += sum(2.0 * float(np.sum(a * b)) for a, b in itertools.combinations(group, 2))
-    if not fixed + scattered:
+    if not expected_systematic + expected_scatter:
         return None
-    freedom = min(scattered**2 / max(uncertain, 1e-300), MAX_FREEDOM)
-    scale = freedom / scipy.special.chdtri(freedom, SCATTER_QUANTILES) if uncertain else np.ones(1)
-    expected = fixed + scale * scattered
+    freedom = min(expected_scatter**2 / max(scatter_variance, 1e-300), MAX_FREEDOM)
+    scale = freedom / scipy.special.chdtri(freedom, SCATTER_QUANTILES) if scatter_variance else np.ones(1)
+    expected = expected_systematic + scale * expected_scatter
     directions = np.square(expected) / np.maximum(np.polynomial.polynomial.polyval(scale, squares), 1e-300)  # g
-    return float(np.mean(scipy.special.chdtrc(directions, directions * error / expected)))
+    return float(np.mean(scipy.special.chdtrc(directions, directions * q / expected)))
 
 
-def _shared(item: Cluster) -> Array:
-    """Changes of its scaled residuals by one standard deviation of what conditions share, ``(k, F)``."""
+def _shared(cluster: Cluster) -> Array:
+    """Patterns P: changes of the scaled residuals by one standard deviation of each shared amplitude, ``(k, F)``."""
     return (
-        item.discrepancy_factor
-        if item.calibrations is None
-        else np.vstack((item.discrepancy_factor, item.calibrations))
+        cluster.discrepancy_factor
+        if cluster.calibrations is None
+        else np.vstack((cluster.discrepancy_factor, cluster.calibrations))
     )
 
 
 def _trace_of_square(rows: Array, count: int) -> float:
-    """tr S^2 of the module for a covariance that is the sum of the products of rows, ``(m, F)``."""
+    """Unbiased tr S^2 (see the module) of the covariance S = rows^T rows, with rows ``(m, F)``."""
     gram = rows @ rows.T
     measured, trace = float(np.sum(np.square(gram))), float(np.trace(gram))
     if count == 1:
@@ -116,5 +122,5 @@ def _trace_of_square(rows: Array, count: int) -> float:
 
 
 def p_in_words(p_value: float) -> str:
-    """A p-value, bounded where the tails of a real robot's noise are not known."""
+    """A p-value in words, with a lower bound: the tails of the noise of a real robot are not known."""
     return f"p = {p_value:.2g}" if p_value >= MIN_REPORTED_P else f"p < {MIN_REPORTED_P}"

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Preregistered predictions of a round's trials, and their comparison with the measurements.
 
-Two numbers are predicted for an impact along the axis: velocity of the end effector and of the object just after it, by
-the impact map (:func:`predict_impact`). Measured, these are means over the time from 20 to 40 ms after the impact and
-from 6 to 40 ms after it. The prediction error of all that was measured is the size of the difference between
-measurement and replay (:mod:`impact_rs_analysis.evidence.cluster`) in these trials alone, which the model has not seen.
-Its p-value is how probable so large an error is under a right model (:mod:`.error_test`).
+The impact map (:func:`predict_impact`) predicts two velocities along the axis just after an impact [m/s]: end effector
+and object. The measured values are means from 20 to 40 ms after the impact (end effector) and from 6 to 40 ms after it
+(object). The prediction error is the size of the difference between measurement and replay
+(:mod:`impact_rs_analysis.evidence.cluster`) in these trials alone, which the model has not seen. Its p-value is the
+probability of an error at least as large under a right model (:mod:`.error_test`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from impact_rs_sim.schema import Schema
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
-VELOCITY_SAMPLES = 21  # of the end effector's velocity, a millisecond apart
+VELOCITY_SAMPLES = 21  # for the velocity of the end effector, 1 ms apart
 
 
 class ImpactPrediction(Schema):
@@ -47,31 +47,33 @@ class ImpactPrediction(Schema):
 class Predictions(Schema):
     """``prediction.json``."""
 
-    model: ModelIdentity = Field(description="what predicts")
+    model: ModelIdentity = Field(description="model that predicts")
     impacts: tuple[ImpactPrediction, ...] = Field((), description="by condition with an impact")
 
 
 class CheckedImpact(Schema):
-    """A prediction beside the mean of the trials that were measured after it."""
+    """A prediction and the mean of the trials that were measured after it."""
 
     condition: str = Field(description="scenario, object and case")
     trials: int = Field(description="trials of it in the round")
     predicted: ImpactPrediction = Field(description="the prediction")
     arm: float = Field(description="measured velocity of the end effector after the impact along the axis [m/s]")
-    object: float | None = Field(description="that of the object [m/s]; null: not tracked")
+    object: float | None = Field(
+        description="measured velocity of the object after the impact along the axis [m/s]; null: not tracked"
+    )
 
 
 class PredictionError(Schema):
     """``prediction_error.json``."""
 
-    model: ModelIdentity = Field(description="what predicted")
+    model: ModelIdentity = Field(description="model that predicted")
     trials: int = Field(description="usable trials of the round")
     error: float | None = Field(description="error of the model in these trials, in the unit; null: none is usable")
     unit: ErrorUnit = Field(description="unit of the error")
-    p_value: float | None = Field(None, description="of so large an error if the model is right; null: not known")
-    p_value_of_all: float | None = Field(None, description="the same in all trials so far; null: not known")
+    p_value: float | None = Field(None, description="p-value of the error if the model is right; null: not known")
+    p_value_of_all: float | None = Field(None, description="p-value in all trials so far; null: not known")
     p_value_of_first: float | None = Field(
-        None, description="the same of the first model in all trials so far; null: not known"
+        None, description="p-value of the first model in all trials so far; null: not known"
     )
     impacts: tuple[CheckedImpact, ...] = Field((), description="by condition with an impact")
 
@@ -96,29 +98,31 @@ def prediction_error(
         source: All trials so far against the model that predicted.
         folder: Folder of the trials of the round.
         predictions: The predictions.
-        first: All trials so far against the first model; None: that is the one that predicted.
+        first: All trials so far against the first model; None: the first model predicted.
     """
     assert source.runs is not None
-    errors, expected, impacts, tested = [], [], [], list[list[int]]()
-    known = {one.condition: one for one in predictions.impacts}
+    squares, expected_squares, impacts, tested_rows = [], [], [], list[list[int]]()
+    predicted_impacts = {impact.condition: impact for impact in predictions.impacts}
     conditions, folder = source.runs.conditions, folder.resolve()
-    for item in source.clusters:
-        paths = [Path(run.path).resolve() for run in conditions[item.name]]
+    for cluster in source.clusters:
+        paths = [Path(run.path).resolve() for run in conditions[cluster.name]]
         rows = [row for row, path in enumerate(paths) if path.is_relative_to(folder)]
-        tested.append(rows)
+        tested_rows.append(rows)
         if not rows:
             continue
-        errors.append(float(np.mean(np.square(item.residuals[rows].mean(axis=0)))))
-        expected.append(float(np.mean(np.square(item.pure_error) / len(rows) + np.square(item.discrepancy))))
-        own = [conditions[item.name][row] for row in rows]
-        if (before := known.get(item.name)) is not None and item.contact:
-            impacts.append(_measured(before, own))
+        squares.append(float(np.mean(np.square(cluster.residuals[rows].mean(axis=0)))))
+        expected_squares.append(
+            float(np.mean(np.square(cluster.pure_error) / len(rows) + np.square(cluster.discrepancy)))
+        )
+        runs_of_round = [conditions[cluster.name][row] for row in rows]
+        if (prediction := predicted_impacts.get(cluster.name)) is not None and cluster.contact:
+            impacts.append(_measured(prediction, runs_of_round))
     return PredictionError(
         model=predictions.model,
-        trials=sum(map(len, tested)),
-        error=rounded(size_of(errors, expected)) if errors else None,
+        trials=sum(map(len, tested_rows)),
+        error=rounded(size_of(squares, expected_squares)) if squares else None,
         unit=source.size_unit,
-        p_value=p_of_error(source.clusters, tested),
+        p_value=p_of_error(source.clusters, tested_rows),
         p_value_of_all=_p_of_all(source),
         p_value_of_first=_p_of_all(first or source),
         impacts=tuple(impacts),
@@ -130,13 +134,13 @@ def _p_of_all(source: Source) -> float | None:
     return p_of_error(source.clusters, [range(item.count) for item in source.clusters])
 
 
-def _measured(before: ImpactPrediction, runs: Sequence[MeasuredRun]) -> CheckedImpact:
-    """A prediction beside the mean over trials of its condition."""
+def _measured(prediction: ImpactPrediction, runs: Sequence[MeasuredRun]) -> CheckedImpact:
+    """A prediction and the mean over trials of its condition."""
     objects = [value for run in runs if (value := _object_velocity(run)) is not None]
     return CheckedImpact(
-        condition=before.condition,
+        condition=prediction.condition,
         trials=len(runs),
-        predicted=before,
+        predicted=prediction,
         arm=float(np.mean([_arm_velocity(run) for run in runs])),
         object=float(np.mean(objects)) if objects else None,
     )
@@ -144,21 +148,21 @@ def _measured(before: ImpactPrediction, runs: Sequence[MeasuredRun]) -> CheckedI
 
 def _arm_velocity(run: MeasuredRun) -> float:
     """Velocity of the end effector after the impact along the axis, mean over the arms [m/s]."""
-    found = []
-    for name, begin in run.impacts.items():
+    velocities = []
+    for name, impact_time in run.impacts.items():
         arm, model = run.signals.arms[name], run.setup.physics.robot_model(name)
-        moments = begin + np.linspace(*JUMP_WINDOWS_S[SETTLED_WINDOW], VELOCITY_SAMPLES)
-        rows = scipy.interpolate.make_interp_spline(run.signals.time, np.hstack([arm.position, arm.velocity]), 1)(
-            moments
+        sample_times = impact_time + np.linspace(*JUMP_WINDOWS_S[SETTLED_WINDOW], VELOCITY_SAMPLES)
+        samples = scipy.interpolate.make_interp_spline(run.signals.time, np.hstack([arm.position, arm.velocity]), 1)(
+            sample_times
         )
-        found += [(model.jacobian(q) @ dq)[run.axis] for q, dq in (np.split(row, 2) for row in rows)]
-    return float(np.mean(found))
+        velocities += [(model.jacobian(q) @ dq)[run.axis] for q, dq in (np.split(sample, 2) for sample in samples)]
+    return float(np.mean(velocities))
 
 
 def _object_velocity(run: MeasuredRun) -> float | None:
     """Velocity of the object after the impact along the axis [m/s]; None: it was not tracked."""
-    wanted = ("impact", "object velocity", AXES[run.axis])
+    group = ("impact", "object velocity", AXES[run.axis])
     for feature, value in zip(run.features, run.measured, strict=True):
-        if feature.group == wanted and feature.bin == 0:
+        if feature.group == group and feature.bin == 0:
             return float(value)
     return None

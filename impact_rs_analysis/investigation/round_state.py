@@ -11,12 +11,12 @@ from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NOTHING
 from impact_rs_analysis.investigation.rounds import (
     Round,
-    added,
+    added_effects,
     laws_added,
     laws_found,
-    measured,
-    models_made,
-    searches_in_vain,
+    model_count,
+    planned_trials,
+    vain_discoveries,
 )
 from impact_rs_analysis.investigation.settings import Settings
 
@@ -26,43 +26,43 @@ class RoundState:
     """State after a round, as far as the policy depends on it.
 
     Attributes:
-        here: The round.
-        found: The diagnosis that is decided on: of the round's model, or of the first model where that one fails.
-        budget: Trials at most.
-        left: Trials that are left.
-        models: Number of models that were made.
+        round: The round.
+        diagnosis: Diagnosis for the decision: of the round's model, or of the first model if the round's model fails.
+        budget: Largest number of trials.
+        remaining: Number of remaining trials.
+        models: Number of models so far.
         added: Effects that the newest model has beyond the first one.
-        laws_added: Those of them that are laws beyond the library.
-        stands: Whether a model with effects lacks nothing, with a usable trial that was measured after it was made.
-        holds: Whether the model of ``found`` lacks nothing.
-        holds_twice: Whether the same was so a round earlier, and a trial measured since is usable.
-        look: Effects that would be significant if tested alone, and become so by more trials; empty: none is left.
+        laws_added: Added effects that are laws beyond the library.
+        validated: Whether the round's model has effects and lacks nothing, in trials that include newer ones.
+        holds: Whether the model of ``diagnosis`` lacks nothing.
+        holds_twice: Whether it lacked nothing a round earlier as well, and a newer trial is usable.
+        to_show: Effects that would be significant if tested alone, and that the next trials shall show or exclude.
         unexplained: Whether something remains that no effect and no law explains.
-        laws: Laws that the last successful discovery found, and what is tied with them.
-        in_vain: Number of discoveries that found no law.
-        further: Effects that the newest model lacks, and with which it is extended.
-        renewed: Whether all trials explain the first model by the effects of the newest one, which predicted the new
-            ones.
-        unsure: Effects or laws that are named and not confirmed.
+        laws: Laws of the last successful discovery, and the laws tied with them.
+        vain_discoveries: Number of discoveries that found no law.
+        extension: Effects that the newest model lacks and that extend it.
+        reestimated: Whether the newest model predicted the new trials, and a diagnosis of the first model with all
+            trials names the same effects.
+        unconfirmed: Named effects or laws that are not confirmed.
     """
 
-    here: Round
-    found: DiagnosisDocument
+    round: Round
+    diagnosis: DiagnosisDocument
     budget: int
-    left: int
+    remaining: int
     models: int
     added: frozenset[str]
     laws_added: tuple[str, ...]
-    stands: bool
+    validated: bool
     holds: bool
     holds_twice: bool
-    look: tuple[str, ...]
+    to_show: tuple[str, ...]
     unexplained: bool
     laws: tuple[str, ...]
-    in_vain: int
-    further: tuple[str, ...]
-    renewed: bool
-    unsure: tuple[str, ...]
+    vain_discoveries: int
+    extension: tuple[str, ...]
+    reestimated: bool
+    unconfirmed: tuple[str, ...]
 
     @classmethod
     def of(cls, settings: Settings, rounds: Sequence[Round], budget: int) -> RoundState:
@@ -73,94 +73,104 @@ class RoundState:
             rounds: All rounds.
             budget: Trials at most.
         """
-        here, before = rounds[-1], rounds[-2] if len(rounds) > 1 else None
-        found, left = here.basis, budget - measured(rounds)
-        assert found is not None and here.diagnosis is not None
-        beside_laws, present = here.laws is None, frozenset(added(rounds))
-        same = here.again is not None and set(here.again.named) == present
+        round_, before = rounds[-1], rounds[-2] if len(rounds) > 1 else None
+        diagnosis, remaining = round_.basis, budget - planned_trials(rounds)
+        assert diagnosis is not None and round_.diagnosis is not None
+        no_laws, present_effects = round_.laws is None, frozenset(added_effects(rounds))
+        same_effects = round_.again is not None and set(round_.again.named) == present_effects
         return cls(
-            here=here,
-            found=found,
+            round=round_,
+            diagnosis=diagnosis,
             budget=budget,
-            left=left,
-            models=models_made(rounds),
-            added=present,
+            remaining=remaining,
+            models=model_count(rounds),
+            added=present_effects,
             laws_added=laws_added(rounds),
-            stands=stands(settings, here),
-            holds=here.basis_holds,
-            holds_twice=here.basis_holds and here.tried and before is not None and before.basis_holds,
-            look=_worth_a_look(before, found) if left > 0 else (),
-            unexplained=beside_laws and (here.discovery is not None or found.verdict.leaves_residuals),
+            validated=validated(settings, round_),
+            holds=round_.basis_holds,
+            holds_twice=round_.basis_holds and round_.tried and before is not None and before.basis_holds,
+            to_show=_effects_to_show(before, diagnosis) if remaining > 0 else (),
+            unexplained=no_laws and (round_.discovery is not None or diagnosis.verdict.leaves_residuals),
             laws=laws_found(rounds),
-            in_vain=searches_in_vain(rounds),
-            further=_further(rounds) if beside_laws and same else (),
-            renewed=beside_laws and same and _confirmed(found) and _left_no_error(here, found),
-            unsure=_unsure(here.laws or found),
+            vain_discoveries=vain_discoveries(rounds),
+            extension=_extension(rounds) if no_laws and same_effects else (),
+            reestimated=no_laws
+            and same_effects
+            and _confirmed(diagnosis)
+            and _new_estimates_suffice(round_, diagnosis),
+            unconfirmed=_unconfirmed(round_.laws or diagnosis),
         )
 
     @property
     def source(self) -> str:
-        """File of the round with the estimates of what is named."""
-        if self.here.laws is not None:
+        """File of the round with the estimates of the named effects."""
+        if self.round.laws is not None:
             return "discovery.json"
-        return "diagnosis.json" if self.here.again is None else "again.json"
+        return "diagnosis.json" if self.round.again is None else "again.json"
 
     @property
     def named(self) -> DiagnosisDocument:
-        """The diagnosis whose effects or laws are added: with laws, where a discovery found some."""
-        return self.here.laws or self.found
+        """The diagnosis whose effects or laws are added; with laws if a discovery found some."""
+        return self.round.laws or self.diagnosis
 
 
-def stands(settings: Settings, here: Round) -> bool:
-    """Whether a model with effects has stood the trial."""
-    return here.model != settings.model and here.tried and here.model_holds
+def validated(settings: Settings, round_: Round) -> bool:
+    """Whether the model of a round has effects, lacks nothing, and was tested on newer trials."""
+    return round_.model != settings.model and round_.tried and round_.model_holds
 
 
 def p_alone(document: DiagnosisDocument | None, name: str) -> float:
-    """p-value of an effect as if it were tested alone."""
+    """p-value of an effect tested alone, without a correction for multiple tests; 1 if not known."""
     effect = None if document is None else document.effect(name)
     return 1.0 if effect is None or effect.p_value_alone is None else effect.p_value_alone
 
 
-def _worth_a_look(before: Round | None, found: DiagnosisDocument) -> tuple[str, ...]:
-    """Effects of which more trials are measured before an end, as long as these make them more significant."""
-    looked, earlier = ((), None) if before is None else (before.shown, before.basis)
+def _effects_to_show(before: Round | None, diagnosis: DiagnosisDocument) -> tuple[str, ...]:
+    """Nominally significant effects to show or exclude before an end, as long as more trials lower their p-value."""
+    already_shown, earlier = ((), None) if before is None else (before.shown, before.basis)
     return tuple(
         name
-        for name in (found.nominally_significant if found.verdict == NOTHING else ())
-        if name not in looked or p_alone(found, name) < p_alone(earlier, name)
+        for name in (diagnosis.nominally_significant if diagnosis.verdict == NOTHING else ())
+        if name not in already_shown or p_alone(diagnosis, name) < p_alone(earlier, name)
     )
 
 
-def _unsure(document: DiagnosisDocument) -> tuple[str, ...]:
+def _unconfirmed(document: DiagnosisDocument) -> tuple[str, ...]:
     """Named but unconfirmed effects of a diagnosis."""
     named = filter(None, map(document.effect, document.named))
     return tuple(effect.name for effect in named if effect.verdict != CONFIRMED)
 
 
 def _confirmed(document: DiagnosisDocument) -> bool:
-    """Whether it has every effect that it names, and all are confirmed."""
-    return not _unsure(document) and None not in map(document.effect, document.named)
+    """Whether a diagnosis has all effects that it names, and confirms them."""
+    return not _unconfirmed(document) and None not in map(document.effect, document.named)
 
 
-def _left_no_error(here: Round, found: DiagnosisDocument) -> bool:
-    """Whether the model predicted the new trials as a right one does, and new estimates leave no more than noise.
+def _new_estimates_suffice(round_: Round, diagnosis: DiagnosisDocument) -> bool:
+    """Whether the error in new trials is consistent with a right model, and new estimates leave no more than noise.
 
     An apparent missing effect is then the estimation error of the model, which had fewer trials: a systematic error
-    that some effect partly explains.
+    that some effect explains in part.
     """
-    p_value = None if here.prediction_error is None else here.prediction_error.p_value
-    return p_value is not None and p_value >= SIGNIFICANCE_LEVEL and found.held_out_error_after <= found.noise_floor
+    p_value = None if round_.prediction_error is None else round_.prediction_error.p_value
+    return (
+        p_value is not None
+        and p_value >= SIGNIFICANCE_LEVEL
+        and diagnosis.held_out_error_after <= diagnosis.noise_floor
+    )
 
 
-def _further(rounds: Sequence[Round]) -> tuple[str, ...]:
-    """Effects that the newest model lacks for certain, beside what all trials say of the first model.
+def _extension(rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Confirmed missing effects of the newest model that the diagnosis of the first model does not name.
 
-    The model before lacked them as well or perhaps, or the newest trials were measured to show them. A small effect
-    beside a large one lowers the error of the first model by too little to be named there.
+    The round before named or suspected them as well, or the newest trials were measured to show them. Next to a large
+    effect, a small one lowers the error of the first model by too little to be named there.
     """
-    before, here = rounds[-2], rounds[-1]
-    if before.diagnosis is None or here.diagnosis is None or not _confirmed(here.diagnosis):
+    before, round_ = rounds[-2], rounds[-1]
+    if before.diagnosis is None or round_.diagnosis is None or not _confirmed(round_.diagnosis):
         return ()
-    now, known = set(here.diagnosis.named), {*before.diagnosis.named, *before.diagnosis.suspected, *before.shown}
-    return here.diagnosis.named if now <= known - added(rounds) else ()
+    named, suspected_before = (
+        set(round_.diagnosis.named),
+        {*before.diagnosis.named, *before.diagnosis.suspected, *before.shown},
+    )
+    return round_.diagnosis.named if named <= suspected_before - added_effects(rounds) else ()

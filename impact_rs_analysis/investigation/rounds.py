@@ -34,13 +34,13 @@ class RoundDecision(Schema):
 
     action: Literal["measure", "add", "end"] = Field(description="what to do")
     reason: str = Field(description="why, in words")
-    add: tuple[str, ...] = Field((), description="effects that the new models have, in order")
-    models: tuple[str, ...] = Field((), description="their files, one for each effect")
-    source: str = Field("", description="file of the round that has their estimates")
-    base: str = Field("", description="file of the model that they are added to; empty: the first model")
+    add: tuple[str, ...] = Field((), description="effects of the new models, in order")
+    models: tuple[str, ...] = Field((), description="files of the new models, one for each effect")
+    source: str = Field("", description="file of the round with the estimates of these effects")
+    base: str = Field("", description="file of the model to which the effects are added; empty: the first model")
     verdict: str = Field("", description="the end: EXPLAINED, LAW-HOLDS, NOTHING-MISSING or UNDECIDED")
     tied: tuple[tuple[str, ...], ...] = Field(
-        (), description="effects and laws that may be missing, those together that the trials cannot distinguish"
+        (), description="effects and laws that may be missing, grouped if the trials cannot distinguish them"
     )
     not_excluded: tuple[str, ...] = Field(
         (), description="effects that could be there at a noticeable size, and that the trials would hardly show"
@@ -76,12 +76,12 @@ class PlannedTrial:
 
 @dataclass(frozen=True)
 class Round:
-    """Files of one round; None: that step is pending.
+    """Files of one round; None for a pending step.
 
     Attributes:
         number: From 1.
         directory: Its folder.
-        model: File of the model that it begins with, as ``Settings.model`` or a name in the investigation's folder.
+        model: File of its first model: ``Settings.model``, or a name in the folder of the investigation.
     """
 
     number: int
@@ -98,33 +98,35 @@ class Round:
 
     @property
     def basis(self) -> DiagnosisDocument | None:
-        """The diagnosis that the decision is made from."""
+        """The diagnosis for the decision."""
         return self.again or self.diagnosis
 
     @property
     def open(self) -> DiagnosisDocument | None:
         """Open decisions for the next trials: found laws or effects, and candidates for a rejected model."""
-        found = self.laws or self.basis
-        if found is None or self.again is None or self.laws is not None:
-            return found
-        known = {effect.name for effect in found.effects if effect.parameters}
-        beside = () if self.diagnosis is None else self.diagnosis.suspected
-        names = dict.fromkeys((*found.suspected, *(name for name in beside if name in known - set(found.named))))
-        return found.model_copy(update={"suspected": tuple(names)})
+        question = self.laws or self.basis
+        if question is None or self.again is None or self.laws is not None:
+            return question
+        estimated = {effect.name for effect in question.effects if effect.parameters}
+        suspected = () if self.diagnosis is None else self.diagnosis.suspected
+        names = dict.fromkeys(
+            (*question.suspected, *(name for name in suspected if name in estimated - set(question.named)))
+        )
+        return question.model_copy(update={"suspected": tuple(names)})
 
     @property
     def laws(self) -> DiagnosisDocument | None:
-        """The diagnosis with the laws that its discovery found; None: there are none."""
+        """The diagnosis with the laws of its discovery; None without laws."""
         return None if self.discovery is None or self.discovery.verdict != FOUND else self.discovery.diagnosis
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """Effects that the trials after it were measured to show or to exclude."""
+        """Effects that the next trials shall show or exclude."""
         return () if self.decision is None else self.decision.show
 
     @property
     def tried(self) -> bool:
-        """Whether a trial of it can be used."""
+        """Whether a trial of the round is usable."""
         return self.prediction_error is not None and self.prediction_error.trials > 0
 
     @property
@@ -147,17 +149,17 @@ class Round:
 
     @property
     def model_holds(self) -> bool:
-        """Whether its model lacks nothing that matters."""
+        """Whether its model lacks no relevant effect."""
         p_value = None if self.prediction_error is None else self.prediction_error.p_value_of_all
         return self.diagnosis is not None and _lacks_nothing(self.diagnosis, p_value)
 
     @property
     def basis_holds(self) -> bool:
-        """Whether the model that :attr:`basis` diagnoses lacks nothing that matters."""
+        """Whether the model that :attr:`basis` diagnoses lacks no relevant effect."""
         return self.basis is not None and _lacks_nothing(self.basis, self.p_of_basis)
 
     def fails(self, settings: Settings) -> bool:
-        """Whether its model has effects and lacks something all the same."""
+        """Whether its model has effects and still lacks some."""
         return self.model != settings.model and self.diagnosis is not None and not self.model_holds
 
 
@@ -166,12 +168,12 @@ class WantedTrials:
     """Purpose of the next trials: the open decision of a document.
 
     Attributes:
-        model: The model that they are planned with.
+        model: The model for planning.
         done: Rounds so far.
         document: The open decision; None: whether one of the effects of ``show`` is missing.
-        budget: Trials at most.
+        budget: Largest number of trials.
         seed: Seed of scatter and noise.
-        show: Effects; none: all.
+        show: Effects; empty: all.
     """
 
     model: Model
@@ -189,13 +191,13 @@ def _lacks_nothing(document: DiagnosisDocument, p_value: float | None) -> bool:
     return document.verdict == NOTHING and not document.suspected and (p_value is None or p_value >= SIGNIFICANCE_LEVEL)
 
 
-def measured(rounds: Sequence[Round]) -> int:
-    """Trials of the plans of some rounds."""
-    return sum(one.plan.trials for one in rounds if one.plan is not None)
+def planned_trials(rounds: Sequence[Round]) -> int:
+    """Number of trials in the plans of the rounds."""
+    return sum(round_.plan.trials for round_ in rounds if round_.plan is not None)
 
 
 def trials_of(plan: ExperimentPlan, folder: str) -> list[PlannedTrial]:
-    """The trials of a plan, repeat by repeat, with every condition once in each.
+    """The trials of a plan, ordered by repeat: all conditions once, then all again.
 
     Args:
         plan: The plan.
@@ -204,12 +206,12 @@ def trials_of(plan: ExperimentPlan, folder: str) -> list[PlannedTrial]:
     Raises:
         InputError: A scenario, object or case of it does not exist.
     """
-    found = []
+    planned = []
     for campaign in plan.campaigns:
         scenario = load_scenario(campaign.scenario).with_settings(campaign.settings)
         for condition in campaign.conditions:
             spec = TrialSpec.of(scenario, condition.object, condition.case, condition.scale)
-            found += [
+            planned += [
                 PlannedTrial(
                     f"{folder}/{campaign.folder}",
                     campaign.scenario,
@@ -219,33 +221,33 @@ def trials_of(plan: ExperimentPlan, folder: str) -> list[PlannedTrial]:
                 )
                 for repeat in range(condition.trials)
             ]
-    return sorted(found, key=lambda one: one.trial.repeat)
+    return sorted(planned, key=lambda trial: trial.trial.repeat)
 
 
 def read_rounds(directory: Path, settings: Settings) -> list[Round]:
     """All rounds that have begun.
 
     Raises:
-        InputError: A file is not what it should be.
+        InputError: A file is damaged or has another format.
     """
-    found: list[Round] = []
-    while (here := folder_of(directory, len(found) + 1)) and (here / "plan.yaml").exists():
-        found.append(
+    rounds: list[Round] = []
+    while (folder := folder_of(directory, len(rounds) + 1)) and (folder / "plan.yaml").exists():
+        rounds.append(
             Round(
-                number=len(found) + 1,
-                directory=here,
-                model=newest_model(settings, found),
-                plan=read_plan(here / "plan.yaml"),
-                prediction=_read(Predictions, here / "prediction.json"),
-                prediction_error=_read(PredictionError, here / "prediction_error.json"),
-                comparison=_read(ComparisonDocument, here / "compare.json"),
-                diagnosis=_read_diagnosis(here / "diagnosis.json"),
-                again=_read_diagnosis(here / "again.json"),
-                discovery=_read(DiscoveryDocument, here / "discovery.json"),
-                decision=_read(RoundDecision, here / "decision.json"),
+                number=len(rounds) + 1,
+                directory=folder,
+                model=newest_model(settings, rounds),
+                plan=read_plan(folder / "plan.yaml"),
+                prediction=_read(Predictions, folder / "prediction.json"),
+                prediction_error=_read(PredictionError, folder / "prediction_error.json"),
+                comparison=_read(ComparisonDocument, folder / "compare.json"),
+                diagnosis=_read_diagnosis(folder / "diagnosis.json"),
+                again=_read_diagnosis(folder / "again.json"),
+                discovery=_read(DiscoveryDocument, folder / "discovery.json"),
+                decision=_read(RoundDecision, folder / "decision.json"),
             )
         )
-    return found
+    return rounds
 
 
 def folder_of(directory: Path, number: int) -> Path:
@@ -254,7 +256,7 @@ def folder_of(directory: Path, number: int) -> Path:
 
 
 def _read(kind: type[SchemaType], path: Path) -> SchemaType | None:
-    """A file of a step; None: that step is still to be done."""
+    """File of a step; None if the step is pending."""
     if not path.exists():
         return None
     try:
@@ -269,46 +271,50 @@ def _read_diagnosis(path: Path) -> DiagnosisDocument | None:
 
 
 def newest_model(settings: Settings, rounds: Sequence[Round]) -> str:
-    """The newest model."""
-    made = [one.decision.models[-1] for one in rounds if one.decision is not None and one.decision.models]
-    return made[-1] if made else settings.model
+    """File of the newest model."""
+    models = [round_.decision.models[-1] for round_ in rounds if round_.decision is not None and round_.decision.models]
+    return models[-1] if models else settings.model
 
 
-def models_made(rounds: Sequence[Round]) -> int:
+def model_count(rounds: Sequence[Round]) -> int:
     """Number of models that decisions have made."""
-    return sum(len(one.decision.models) for one in rounds if one.decision is not None)
+    return sum(len(round_.decision.models) for round_ in rounds if round_.decision is not None)
 
 
 def _additions(rounds: Sequence[Round]) -> list[RoundDecision]:
     """The decisions that led from the first model to the newest one, newest first."""
-    made = {one.decision.models[-1]: one.decision for one in rounds if one.decision is not None and one.decision.models}
-    found, name = list[RoundDecision](), next(reversed(made), "")
-    while name:
-        found.append(made[name])
-        name = made[name].base
-    return found
+    decisions = {
+        round_.decision.models[-1]: round_.decision
+        for round_ in rounds
+        if round_.decision is not None and round_.decision.models
+    }
+    additions, model = list[RoundDecision](), next(reversed(decisions), "")
+    while model:
+        additions.append(decisions[model])
+        model = decisions[model].base
+    return additions
 
 
-def added(rounds: Sequence[Round]) -> set[str]:
+def added_effects(rounds: Sequence[Round]) -> set[str]:
     """Effects that the newest model has beyond the first one."""
-    return {name for one in _additions(rounds) for name in one.add}
+    return {name for decision in _additions(rounds) for name in decision.add}
 
 
 def laws_added(rounds: Sequence[Round]) -> tuple[str, ...]:
     """Added laws that a discovery proposed."""
-    laws = {law.name for one in rounds if one.discovery is not None for law in one.discovery.laws}
-    proposed = (one for one in reversed(_additions(rounds)) if one.source == "discovery.json")
-    return tuple(name for one in proposed for name in one.add if name in laws)
+    laws = {law.name for entry in rounds if entry.discovery is not None for law in entry.discovery.laws}
+    proposed = (entry for entry in reversed(_additions(rounds)) if entry.source == "discovery.json")
+    return tuple(name for entry in proposed for name in entry.add if name in laws)
 
 
 def laws_found(rounds: Sequence[Round]) -> tuple[str, ...]:
-    """The laws that the last discovery with laws found, with what is tied with them."""
-    for one in reversed(rounds):
-        if one.discovery is not None and one.laws is not None:
-            return tuple(dict.fromkeys(name for law in one.discovery.laws for name in (law.name, *law.tied_with)))
+    """Laws of the last successful discovery, and the laws tied with them."""
+    for round_ in reversed(rounds):
+        if round_.discovery is not None and round_.laws is not None:
+            return tuple(dict.fromkeys(name for law in round_.discovery.laws for name in (law.name, *law.tied_with)))
     return ()
 
 
-def searches_in_vain(rounds: Sequence[Round]) -> int:
-    """Discoveries that found no law."""
-    return sum(one.discovery is not None and one.laws is None for one in rounds)
+def vain_discoveries(rounds: Sequence[Round]) -> int:
+    """Number of discoveries without a law."""
+    return sum(round_.discovery is not None and round_.laws is None for round_ in rounds)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials by rule, if no plan by expected decisions is possible."""
+"""Trials by rule, for when no plan by expected decisions is possible."""
 
 from __future__ import annotations
 
@@ -16,53 +16,58 @@ from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
 
-def simple_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
-    """Trials by rule: two repeats of a few conditions, then the trials that the diagnosis needs, else new conditions.
+def rule_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
+    """Trials by rule: two repeats of a few conditions, then the advice of the diagnosis, or else rare conditions.
 
     Args:
         settings: Settings of the investigation.
-        wanted: Purpose of the trials; without a document: the first ones, or a test of a new model.
+        wanted: Purpose of the trials; without a document: the first trials, or a test of a new model.
     """
-    measured = Counter(label_of(one.trial.spec) for here in wanted.done for one in here.trials)
-    often: dict[tuple[str, str, str], int] = {}
+    measured_trials = Counter(label_of(planned.trial.spec) for round_ in wanted.done for planned in round_.trials)
+    repeats: dict[tuple[str, str, str], int] = {}
     for name in settings.scenarios:
         scenario = load_scenario(name)
         objects = list(scenario.objects) if scenario.excursion is None else list(scenario.objects)[:1]
         for case in scenario.cases:
-            for item in objects:
-                spec = TrialSpec.of(scenario, item, case)
+            for object_name in objects:
+                spec = TrialSpec.of(scenario, object_name, case)
                 if settings.envelope is None or not settings.envelope.complaint(spec):
-                    often[name, item, case] = measured[label_of(spec)]
-    if not often:
-        raise InputError("no condition of these scenarios lies inside the envelope; expected limits that allow some")
-    hits = [place for place in often if load_scenario(place[0]).excursion is None]
-    free = [place for place in often if place not in hits]
+                    repeats[name, object_name, case] = measured_trials[label_of(spec)]
+    if not repeats:
+        raise InputError("no condition of these scenarios lies inside the envelope; expected wider limits")
+    hits = [condition for condition in repeats if load_scenario(condition[0]).excursion is None]
+    free = [condition for condition in repeats if condition not in hits]
     chosen: dict[tuple[str, str, str], int] = {}
     if not wanted.done:
-        corners = [*hits[:1], *[place for place in reversed(hits) if place[1] != hits[0][1]][:1], *hits[-1:]]
-        conditions = list(dict.fromkeys([*corners[:2], *free[:2], *hits]))[: max(3, wanted.budget // 2)][:4]
-        for place in conditions:
-            chosen[place] = 2
+        contrasting = [
+            *hits[:1],
+            *[condition for condition in reversed(hits) if condition[1] != hits[0][1]][:1],
+            *hits[-1:],
+        ]
+        first_conditions = list(dict.fromkeys([*contrasting[:2], *free[:2], *hits]))[: max(3, wanted.budget // 2)][:4]
+        for condition in first_conditions:
+            chosen[condition] = 2
         reason = "Two objects and free motion, to find where the model fails."
     else:
         experiment = None if wanted.document is None else wanted.document.next_experiment
-        asked = [
-            place
-            for place in often
+        advised = [
+            condition
+            for condition in repeats
             if experiment is not None
-            and (load_scenario(place[0]).name, *place[1:]) == (experiment.scenario, experiment.object, experiment.case)
+            and (load_scenario(condition[0]).name, *condition[1:])
+            == (experiment.scenario, experiment.object, experiment.case)
         ]
-        if experiment is not None and asked:
-            chosen[asked[0]] = wanted.budget
+        if experiment is not None and advised:
+            chosen[advised[0]] = wanted.budget
             reason = f"{experiment.advice[:1].upper()}{experiment.advice[1:]}."
         else:
-            fewest = sorted(hits or free, key=lambda place: often[place])
-            for place in fewest[: wanted.budget]:
-                chosen[place] = 1
+            least_measured = sorted(hits or free, key=lambda condition: repeats[condition])
+            for condition in least_measured[: wanted.budget]:
+                chosen[condition] = 1
             reason = "Conditions that were measured least."
     folders: dict[str, list[PlannedTrials]] = {}
-    for (name, item, case), count in chosen.items():
-        folders.setdefault(name, []).append(PlannedTrials(object=item, case=case, trials=count))
+    for (name, object_name, case), count in chosen.items():
+        folders.setdefault(name, []).append(PlannedTrials(object=object_name, case=case, trials=count))
     return ExperimentPlan(
         model=wanted.model.name,
         model_digest=wanted.model.digest,
@@ -72,7 +77,7 @@ def simple_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
         seed=wanted.seed,
         summary=reason,
         campaigns=tuple(
-            PlannedCampaign(folder=Path(name).stem, scenario=name, conditions=tuple(conditions))
-            for name, conditions in folders.items()
+            PlannedCampaign(folder=Path(name).stem, scenario=name, conditions=tuple(planned))
+            for name, planned in folders.items()
         ),
     )

@@ -23,7 +23,7 @@ class BlindChoice(Schema):
     seed: int = Field(ge=0, description="seed that draws effect and size")
     kind: Literal["single", "pair", "null", "outside"] = Field("single", description="what is hidden")
     effect: str | None = Field(None, description="effect that is hidden; null: drawn")
-    magnitude: float | None = Field(None, description="its size in parameter scales [-]; null: drawn")
+    magnitude: float | None = Field(None, description="size of the effect in parameter scales [-]; null: drawn")
 
 
 class Settings(Schema):
@@ -31,7 +31,7 @@ class Settings(Schema):
 
     scenarios: tuple[str, ...] = Field(min_length=1, description="names or paths of scenarios")
     model: str = Field("nominal", description="the first model: nominal, or a file")
-    model_digest: str = Field(description="digest of its physics")
+    model_digest: str = Field(description="digest of the physics of the first model")
     via: Literal["inprocess", "nodes", "cell"] = Field("inprocess", description="where trials run")
     seed: int = Field(0, ge=0, description="seed of scatter and noise")
     effects: tuple[str, ...] = Field((), description="effects to consider; none: the library")
@@ -45,22 +45,22 @@ class Settings(Schema):
 
 
 def begin(directory: Path, settings: Settings) -> Settings:
-    """The settings of a folder, which are written where it has none.
+    """The settings of a folder; written if the folder has none.
 
     Raises:
         InputError: It holds another investigation.
     """
     path = directory / SETTINGS_FILE
     if path.exists():
-        present = load(Settings, path)
-        if present != settings:
-            changed = [name for name in Settings.model_fields if getattr(present, name) != getattr(settings, name)]
+        existing = load(Settings, path)
+        if existing != settings:
+            changed = [name for name in Settings.model_fields if getattr(existing, name) != getattr(settings, name)]
             raise InputError(
                 f"this folder holds another investigation (it differs in {', '.join(changed)}); give the same options "
-                "again, only --budget may grow, or choose another folder",
+                "(only --budget may grow), or choose another folder",
                 file=path,
             )
-        return present
+        return existing
     write_whole(path, yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
     return settings
 

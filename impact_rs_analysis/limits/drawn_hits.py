@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loads of a hit on an arm: Monte Carlo simulation over the uncertain parameters.
 
-Everything comes from the compiled twin (:mod:`impact_rs_sim.twin`): drives with springs and a pad that yields. It runs
-from the touch of the pads on, with the torque that carries the arms there, for ``HIT_WINDOW_S``; feedback of a
-controller hardly acts in that time. The rigid impact map is not asked: a pad that bounces adds up to a quarter to the
-largest joint velocity jump.
+The compiled twin (:mod:`impact_rs_sim.twin`) simulates drives with flexible joints and a compliant pad. A simulation
+begins when the pads touch and lasts ``HIT_WINDOW_S``, with the joint torques that keep the arms in motion at the touch;
+feedback of a controller hardly acts in that time. The rigid impact map would not do: the bounce of a compliant pad adds
+up to a quarter to the largest joint velocity jump.
 
-A draw changes everything that the scenario states as uncertain, the stiffness of joints and pads, and what the twin is
-known to differ by from another simulator:
+A draw changes all uncertain quantities of the scenario, stiffness and damping of joints and pads, and adds the known
+discrepancy between the twin and another simulator:
 
     jump    + share v_n / l  n     (``JUMP_SHARES``; v_n closing speed, l reach)
     others  times exp(share n)     (``PEAK_SHARES``)                       with n standard normal.
@@ -40,14 +40,14 @@ from impact_rs_sim.scenarios.scenario import Uncertainties
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene, pad_placements
 from impact_rs_sim.twin import TwinJob, simulate
 
-DEFAULT_DRAWS = 200  # of a speed limit: two of them may exceed it
-HIT_WINDOW_S = 0.035  # from the touch on; a joint's spring swings back within it
+DEFAULT_DRAWS = 200  # for a speed limit: bounds may be exceeded in two of them
+HIT_WINDOW_S = 0.035  # after the touch; the spring of a joint swings back within it
 INITIAL_GAP_M = 1e-4  # between pad and object
 STIFFNESS_HALF_WIDTH = 0.2  # of joints and pads, relative: half the width of a 95 % interval; assumed
-DAMPING_HALF_WIDTH = 0.3  # of joints and pads, likewise
+DAMPING_HALF_WIDTH = 0.3  # of joints and pads, relative: half the width of a 95 % interval; assumed
 JUMP_WINDOW_S = (0.005, 0.015)  # after the touch, over which the post-impact velocity is averaged
-# How far MuJoCo is from the twin with the same parameters, in 18 pushes: benchmarks/accuracy/limits.py --calibrate. Of
-# jumps the rms difference times l / v_n, of largest values the standard deviation of the logarithm of their ratio.
+# Difference between MuJoCo and the twin with equal parameters in 18 pushes (benchmarks/accuracy/limits.py --calibrate).
+# Jumps: rms difference times l / v_n. Largest values: standard deviation of the logarithm of their ratio.
 JUMP_SHARES: Mapping[HitKind, float] = {"square": 0.005, "oblique": 0.02}
 PEAK_SHARES: Mapping[str, float] = {"speed": 0.02, "torque": 0.02, "reflex": 0.03, "force": 0.02}
 
@@ -77,7 +77,7 @@ class Hits:
     Args:
         scene: Arms, object, case.
         thresholds: Used instead of the limits of the robot facts.
-        stated: Uncertain quantities; None: as the scenario states.
+        uncertainties: Uncertain quantities; None: those of the scenario.
         draws: Number of draws; 0: the nominal hit alone, without discrepancy.
         seed: Seed of the draws.
 
@@ -92,7 +92,7 @@ class Hits:
         self,
         scene: Scene,
         thresholds: Thresholds,
-        stated: Uncertainties | None = None,
+        uncertainties: Uncertainties | None = None,
         draws: int = 0,
         seed: int = 0,
     ) -> None:
@@ -107,8 +107,8 @@ class Hits:
         )
         kinds = np.array(self.bounds.kinds)
         jumps = kinds == "jump"
-        spread = np.zeros(kinds.size)
-        spread[jumps] = JUMP_SHARES[self.kind] * np.concatenate(
+        jump_scale = np.zeros(kinds.size)
+        jump_scale[jumps] = JUMP_SHARES[self.kind] * np.concatenate(
             [
                 np.full(arm.facts.joint_count, closing[name] / reach_of(arm.facts))
                 for name, arm in scene.physics.arms.items()
@@ -116,23 +116,23 @@ class Hits:
         )
         peak_shares = np.array([PEAK_SHARES.get(kind, 0.0) for kind in kinds])
         rng = np.random.default_rng(seed)
-        sources = sources_of(problem, scene.scenario.uncertainty if stated is None else stated)
+        sources = sources_of(problem, scene.scenario.uncertainty if uncertainties is None else uncertainties)
         self._draws: list[DrawnHit] = []
         for _ in range(max(draws, 1)):
             amounts = possible(problem, draw(sources, rng) if draws else {})
             noise = rng.standard_normal(kinds.size) if draws else np.zeros(kinds.size)
             springs = {name: drawn_springs(arm, rng) if draws else arm for name, arm in scene.physics.arms.items()}
             physics, arms, body = drawn(problem, scene.models, amounts, springs)
-            self._draws.append(DrawnHit(physics, arms, body, spread * noise, np.exp(noise * peak_shares)))
+            self._draws.append(DrawnHit(physics, arms, body, jump_scale * noise, np.exp(noise * peak_shares)))
 
     @property
-    def rest(self) -> Array:
+    def ratios_at_rest(self) -> Array:
         """Quantities over their bounds at speed 0, ``(draws, k)`` [-]: gravity torques, else 0."""
-        found = np.zeros((len(self._draws), len(self.bounds.names)))
-        for row, one in enumerate(self._draws):
-            weights = [one.physics.robot_model(name).gravity_torque(arm.position) for name, arm in one.arms.items()]
-            found[row, np.array(self.bounds.kinds) == "torque"] = np.abs(np.concatenate(weights))
-        return found / self.bounds.values
+        quantities_at_rest = np.zeros((len(self._draws), len(self.bounds.names)))
+        for row, hit in enumerate(self._draws):
+            gravity = [hit.physics.robot_model(name).gravity_torque(arm.position) for name, arm in hit.arms.items()]
+            quantities_at_rest[row, np.array(self.bounds.kinds) == "torque"] = np.abs(np.concatenate(gravity))
+        return quantities_at_rest / self.bounds.values
 
     def ratios(self, scale: float) -> Array:
         """Quantities over their bounds at a multiple of the scene's speed, ``(draws, k)`` [-]; nan: unstable."""
@@ -141,11 +141,11 @@ class Hits:
     def values(self, scale: float) -> Array:
         """Quantities at a multiple of the scene's speed in their units, ``(draws, k)``; nan: the draw is unstable."""
         period = self.scene.scenario.timing.drive_period
-        jobs = [twin_job(one.physics, _scaled(one.arms, scale), one.object, period) for one in self._draws]
+        jobs = [twin_job(hit.physics, _scaled(hit.arms, scale), hit.object, period) for hit in self._draws]
         return np.array(
             [
-                np.abs(quantities(self.scene, job.time, result.arms) * one.factors + scale * one.offsets)
-                for one, job, result in zip(self._draws, jobs, simulate(jobs), strict=True)
+                np.abs(quantities(self.scene, job.time, result.arms) * hit.factors + scale * hit.offsets)
+                for hit, job, result in zip(self._draws, jobs, simulate(jobs), strict=True)
             ]
         )
 
@@ -154,11 +154,11 @@ def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion]) -> Arra
     """Quantities of a hit from its signals, in the order of :class:`Bounds`, ``(k,)``.
 
     Args:
-        scene: Scene of the model that the observer of the robot has.
-        time: Times of the samples from the touch on, evenly spaced, ``(m,)`` [s].
+        scene: Scene whose models the observer of the robot uses.
+        time: Times of the samples after the touch, evenly spaced, ``(m,)`` [s].
         arms: Signals by arm, ``(m, n)``.
     """
-    found: list[Array] = []
+    peaks: list[Array] = []
     after = (time >= JUMP_WINDOW_S[0]) & (time <= JUMP_WINDOW_S[1])
     for name, arm in arms.items():
         model, facts = scene.models[name], scene.physics.arms[name].facts
@@ -168,14 +168,14 @@ def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion]) -> Arra
         force = np.linalg.norm(np.linalg.lstsq(jacobian.T, external.T, rcond=None)[0], axis=0)
         signals = (arm.velocity, arm.torque, external)
         jump = arm.velocity[after].mean(axis=0) - arm.velocity[0]
-        found += [np.abs(jump), *(np.abs(signal).max(axis=0) for signal in signals), force.max(keepdims=True)]
-    return np.concatenate(found)
+        peaks += [np.abs(jump), *(np.abs(signal).max(axis=0) for signal in signals), force.max(keepdims=True)]
+    return np.concatenate(peaks)
 
 
 def observed(model: RobotModel, position: Array, time: Array, arm: ArmMotion, gain: float) -> Array:
     """External joint torques by a momentum observer in steady state at the first sample, ``(m, n)`` [N m].
 
-    The configuration hardly changes during a hit: M and gravity torque are those at its start.
+    The configuration hardly changes during a hit: M and gravity torque are taken at its start.
     """
     period = float(time[1] - time[0])
     momentum = (arm.velocity - arm.velocity[0]) @ model.mass_matrix(position)
@@ -217,18 +217,18 @@ def _approach(
         InputError: A pad does not approach the object.
     """
     placements = pad_placements(physics, models, arms)
-    found = {}
-    for one in contact_pairs(physics, body, placements):
-        if one.partner == SUPPORT:
+    approach = {}
+    for pair in contact_pairs(physics, body, placements):
+        if pair.partner == SUPPORT:
             continue
-        state = arms[one.partner]
-        speed = float(one.normal @ models[one.partner].jacobian(state.position)[:3] @ state.velocity)
+        state = arms[pair.partner]
+        speed = float(pair.normal @ models[pair.partner].jacobian(state.position)[:3] @ state.velocity)
         if speed <= 0.0:
             raise InputError(
-                f"arm {one.partner!r} does not approach the object; expected a case in which its pad hits the object"
+                f"arm {pair.partner!r} does not approach the object; expected a case in which its pad hits the object"
             )
-        found[one.partner] = (one.separation, speed)
-    return found
+        approach[pair.partner] = (pair.separation, speed)
+    return approach
 
 
 def drawn(
@@ -242,27 +242,27 @@ def drawn(
     Args:
         problem: The hit of the scene.
         models: Its rigid-body models by arm.
-        amounts: Changes of parameters of the map; contact points stay where the pads are.
+        amounts: Changes of parameters of the impact map; the contact points stay at the pads.
         arms: Arms with the springs of the draw.
     """
     changed = change(problem, amounts)
-    made = {}
+    drawn_arms = {}
     for name, arm in arms.items():
         factor = 1.0 + changed.link_inertia.get(name, 0.0)
-        share = changed.problem.motor_inertia[name] / problem.motor_inertia[name]
+        motor_ratio = changed.problem.motor_inertia[name] / problem.motor_inertia[name]
         links = tuple(
             link.model_copy(update={"mass": factor * link.mass, "inertia": tuple(factor * np.array(link.inertia))})
             for link in arm.facts.links
         )
-        hand = arm.end_effector
-        made[name] = replace(
+        effector = arm.end_effector
+        drawn_arms[name] = replace(
             arm,
             facts=arm.facts.model_copy(update={"links": links}),
-            end_effector=replace(hand, mass=factor * hand.mass, inertia=factor * hand.inertia),
-            motor_inertia_reduced=share * arm.motor_inertia_reduced,
-            motor_inertia_rotor=share * arm.motor_inertia_rotor,
+            end_effector=replace(effector, mass=factor * effector.mass, inertia=factor * effector.inertia),
+            motor_inertia_reduced=motor_ratio * arm.motor_inertia_reduced,
+            motor_inertia_rotor=motor_ratio * arm.motor_inertia_rotor,
         )
-    physics, body = replace(changed.problem.physics, arms=made), changed.problem.object
+    physics, body = replace(changed.problem.physics, arms=drawn_arms), changed.problem.object
     states = _moved(changed.problem.arms, _approach(physics, changed.problem.arms, body, models), INITIAL_GAP_M)
     return physics, states, body
 
@@ -294,7 +294,7 @@ def twin_job(physics: Physics, arms: Mapping[str, ArmState], body: BodyState, pe
 
 
 def _scaled(arms: Mapping[str, ArmState], scale: float) -> dict[str, ArmState]:
-    """The same states at a multiple of their velocities."""
+    """States with scaled velocities."""
     return {name: replace(arm, velocity=scale * arm.velocity) for name, arm in arms.items()}
 
 

@@ -11,12 +11,13 @@ reflex     largest external joint torque, filtered           ``reflexes.external
 force      largest external force at E, filtered             ``reflexes.external_force_N``
 ========== ================================================= =========================================
 
-The robot has no force sensor at its pad: it sees a hit through its joints. A momentum observer (De Luca et al. 2006),
+The robot has no force sensor at its pad: it measures a hit with its joints. Reflexes compare a momentum observer (De
+Luca et al. 2006) with thresholds,
 
-    r = k_o (M dq - M dq_0 - int (tau_J - tau_J0 + r) dt),
+    r = k_o (M dq - M dq_0 - int (tau_J - tau_J0 + r) dt)  [N m],
 
-is what reflexes compare with thresholds; it is the external torque J^T f behind a low-pass filter of the rate k_o. The
-external force is that at the origin of E which explains r best, (J_v^T)^+ r.
+the external torque J^T f behind a low-pass filter of the rate k_o [1/s]. The external force is the least-squares force
+at the origin of E, (J_v^T)^+ r [N].
 """
 
 from __future__ import annotations
@@ -62,10 +63,10 @@ class Bounds:
     """Bounds of all quantities of a scene.
 
     Attributes:
-        names: ``arm joint 2 torque`` ..., in the order of :func:`impact_rs_analysis.limits.drawn_hits.peaks`.
-        kinds: Kind of each, of ``KINDS``.
-        units: Unit of each.
-        values: Upper bound, ``(k,)``; inf: unknown.
+        names: ``arm joint 2 torque`` ..., in the order of :func:`impact_rs_analysis.limits.drawn_hits.quantities`.
+        kinds: Kind of every quantity, one of ``KINDS``.
+        units: Unit of every quantity.
+        values: Upper bounds, ``(k,)``; inf: unknown.
     """
 
     names: tuple[str, ...]
@@ -76,8 +77,8 @@ class Bounds:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Kinds without a bound, which the speed limit ignores."""
-        known = {kind for kind, value in zip(self.kinds, self.values, strict=True) if np.isfinite(value)}
-        return tuple(kind for kind in KINDS if kind not in known)
+        bounded = {kind for kind, value in zip(self.kinds, self.values, strict=True) if np.isfinite(value)}
+        return tuple(kind for kind in KINDS if kind not in bounded)
 
 
 def bounds_of(physics: Physics, thresholds: Thresholds = NO_THRESHOLDS) -> Bounds:
@@ -86,14 +87,14 @@ def bounds_of(physics: Physics, thresholds: Thresholds = NO_THRESHOLDS) -> Bound
     kinds: list[str] = []
     units: list[str] = []
     values: list[float] = []
-    for arm, one in physics.arms.items():
-        joints = one.facts.units
-        of_kind = _values(one.facts, thresholds)
-        unit = {"jump": "velocity", "speed": "velocity", "torque": "effort", "reflex": "effort"}
+    for arm, arm_physics in physics.arms.items():
+        joints = arm_physics.facts.units
+        of_kind = _values(arm_physics.facts, thresholds)
+        unit_kind = {"jump": "velocity", "speed": "velocity", "torque": "effort", "reflex": "effort"}
         for kind in KINDS[:-1]:
-            for number, own in enumerate(joints, start=1):
+            for number, joint_units in enumerate(joints, start=1):
                 names.append(f"{arm} joint {number} {KIND_WORDS[kind]}")
-                units.append(str(getattr(own, unit[kind])))
+                units.append(str(getattr(joint_units, unit_kind[kind])))
             kinds += [kind] * len(joints)
             values += of_kind[kind]
         names.append(f"{arm} {KIND_WORDS['force']}")
@@ -106,18 +107,18 @@ def bounds_of(physics: Physics, thresholds: Thresholds = NO_THRESHOLDS) -> Bound
 def _values(facts: RobotFacts, thresholds: Thresholds) -> Mapping[str, list[float]]:
     """Bounds of one arm by kind."""
     count = facts.joint_count
-    own = facts.reflexes or Reflexes()
+    reflexes = facts.reflexes or Reflexes()
 
-    def of(given: float | None, stated: tuple[float, ...] | None) -> list[float]:
-        if given is not None:
-            return [given] * count
-        return [np.inf] * count if stated is None else list(stated)
+    def by_joint(threshold: float | None, facts_bounds: tuple[float, ...] | None) -> list[float]:
+        if threshold is not None:
+            return [threshold] * count
+        return [np.inf] * count if facts_bounds is None else list(facts_bounds)
 
-    force = thresholds.external_force if thresholds.external_force is not None else own.external_force_N
+    force = thresholds.external_force if thresholds.external_force is not None else reflexes.external_force_N
     return {
-        "jump": of(thresholds.velocity_jump, own.velocity_jump_rad_s),
+        "jump": by_joint(thresholds.velocity_jump, reflexes.velocity_jump_rad_s),
         "speed": list(facts.limits.velocity_rad_s),
         "torque": list(facts.limits.torque_Nm),
-        "reflex": of(thresholds.external_torque, own.external_torque_Nm),
+        "reflex": by_joint(thresholds.external_torque, reflexes.external_torque_Nm),
         "force": [np.inf if force is None else force],
     }

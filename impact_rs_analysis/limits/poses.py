@@ -14,7 +14,7 @@ from impact_rs_sim.scene import Scene
 
 
 def moved(scenario: Scenario, x: float, z: float) -> Scenario:
-    """The scenario with its hit somewhere else: pads, object and support are moved, and the arms stay.
+    """The scenario with its hit at another position: pads, object and support move, the bases of the arms stay.
 
     Args:
         scenario: The scenario.
@@ -28,13 +28,13 @@ def moved(scenario: Scenario, x: float, z: float) -> Scenario:
     for name, robot in scenario.robots.items():
         if robot.impact.position is None:
             raise InputError(
-                "joint_position says where this arm hits; expected position, pad_normal, pad_up and joint_guess, which "
-                "can be moved",
+                "this arm hits where joint_position puts it, which cannot be moved; expected position, pad_normal, "
+                "pad_up and joint_guess",
                 key=f"robots.{name}.impact",
             )
-        own = robot.impact.position
-        place = (own[0] + x, own[1], own[2] + z)
-        robots[name] = robot.model_copy(update={"impact": robot.impact.model_copy(update={"position": place})})
+        nominal = robot.impact.position
+        position = (nominal[0] + x, nominal[1], nominal[2] + z)
+        robots[name] = robot.model_copy(update={"impact": robot.impact.model_copy(update={"position": position})})
     update: dict[str, object] = {
         "robots": robots,
         "support": scenario.support.model_copy(update={"height": scenario.support.height + z}),
@@ -46,7 +46,7 @@ def moved(scenario: Scenario, x: float, z: float) -> Scenario:
 
 @dataclass(frozen=True)
 class LimitTask:
-    """One speed limit to find.
+    """Search for one speed limit.
 
     Attributes:
         scenario: The scenario.
@@ -69,13 +69,13 @@ class LimitTask:
 
 @dataclass(frozen=True)
 class PlacedLimit:
-    """A speed limit and where it holds.
+    """A speed limit and the position of its hit.
 
     Attributes:
         x: How far the hit is moved along x [m].
         z: How far it is moved upwards [m].
-        limit: The limit; None: not known.
-        reason: Why it is not known; empty: it is known.
+        limit: The limit; None if the arm cannot hit there.
+        reason: Why there is no limit; empty if there is one.
     """
 
     x: float
@@ -85,7 +85,7 @@ class PlacedLimit:
 
 
 def limit_of(task: LimitTask) -> PlacedLimit:
-    """The speed limit of a task; none for an unreachable position."""
+    """The speed limit of a task; without a limit for an unreachable position."""
     scenario = moved(task.scenario, task.x, task.z) if task.x or task.z else task.scenario
     try:
         scene = Scene.resolve(scenario, task.object_name, task.case_name)

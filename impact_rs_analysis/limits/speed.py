@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The highest approach speed at which all bounds of a robot hold in at least 99 % of the draws.
 
-With y_kd(v) the quantity k of the draw d at the closing speed v and b_k its bound, it is the largest v with
+Let y_kd(v) be the quantity k in the draw d at the closing speed v [m/s], and b_k its bound. The limit is the largest v
+with
 
     Q_0.99 over d of  max_k y_kd(v) / b_k  <=  1,
 
-and of a kind of quantities alone the same with the maximum over those. Between the speeds that were simulated y is
-interpolated linearly, and beyond the last one extrapolated: hits are nearly proportional to their speed. Each of these
-searches ends where the speed differs by less than 1 % from one that was simulated.
+For one kind of quantities, the maximum is over that kind. y is interpolated linearly between the simulated speeds and
+extrapolated beyond the last one: loads are nearly proportional to the speed of a hit. A search ends when the limit
+differs by less than 1 % from a simulated speed.
 """
 
 from __future__ import annotations
@@ -39,18 +40,18 @@ class SpeedLimit:
         case_name: Case.
         planned: Closing speed of the scenario [m/s].
         speed: Highest closing speed at which all bounds hold with ``HOLD_PROBABILITY`` [m/s]; 0: not even at rest.
-        middle: Highest speed at which they hold in half of the draws [m/s].
-        by_kind: The same as ``speed`` for each kind of quantities alone [m/s]; inf: beyond every speed of interest.
-        binding: Quantity that is nearest to its bound there.
+        median: Highest closing speed at which all bounds hold in half of the draws [m/s].
+        by_kind: Highest closing speed for the bounds of one kind alone [m/s]; inf: above ``MAX_SPEED_M_S``.
+        binding: Quantity that is nearest to its bound at the limit.
         unknown: Kinds without any bound.
-        draws: Draws that are stable.
+        draws: Number of stable draws.
     """
 
     object_name: str
     case_name: str
     planned: float
     speed: float
-    middle: float
+    median: float
     by_kind: Mapping[str, float]
     binding: str
     unknown: tuple[str, ...]
@@ -62,13 +63,13 @@ class SpeedLimit:
         return self.planned <= self.speed
 
     def to_json(self) -> dict[str, object]:
-        """As JSON; speeds beyond every interest are null."""
+        """As JSON; speeds above ``MAX_SPEED_M_S`` are null."""
         return {
             "object": self.object_name,
             "case": self.case_name,
             "planned_m_s": self.planned,
             "limit_m_s": _finite(self.speed),
-            "half_m_s": _finite(self.middle),
+            "half_m_s": _finite(self.median),
             "by_kind_m_s": {kind: _finite(speed) for kind, speed in self.by_kind.items()},
             "binding": self.binding,
             "allowed": self.allowed,
@@ -87,13 +88,13 @@ def speed_limit(hits: Hits) -> SpeedLimit:
     curve = _Curve(hits)
     curve.add(1.0)
     kinds = np.array(hits.bounds.kinds)
-    everything = np.arange(kinds.size)
-    of_kind = {kind: np.flatnonzero(kinds == kind) for kind in KINDS if kind not in hits.bounds.unknown}
-    curve.settle(everything, HOLD_PROBABILITY)
-    curve.settle(everything, 0.5)
-    for which in sorted(of_kind.values(), key=lambda which: curve.limit(which, HOLD_PROBABILITY)):
-        curve.settle(which, HOLD_PROBABILITY)
-    found = curve.limit(everything, HOLD_PROBABILITY)
+    all_columns = np.arange(kinds.size)
+    columns_of_kind = {kind: np.flatnonzero(kinds == kind) for kind in KINDS if kind not in hits.bounds.unknown}
+    curve.settle(all_columns, HOLD_PROBABILITY)
+    curve.settle(all_columns, 0.5)
+    for columns in sorted(columns_of_kind.values(), key=lambda columns: curve.limit(columns, HOLD_PROBABILITY)):
+        curve.settle(columns, HOLD_PROBABILITY)
+    scale_limit = curve.limit(all_columns, HOLD_PROBABILITY)
     scene = hits.scene
 
     def speed(scale: float) -> float:
@@ -103,10 +104,10 @@ def speed_limit(hits: Hits) -> SpeedLimit:
         object_name=scene.object_name,
         case_name=scene.case_name,
         planned=hits.speed,
-        speed=speed(found),
-        middle=speed(curve.limit(everything, 0.5)),
-        by_kind={kind: speed(curve.limit(which, HOLD_PROBABILITY)) for kind, which in of_kind.items()},
-        binding=hits.bounds.names[curve.worst(found)],
+        speed=speed(scale_limit),
+        median=speed(curve.limit(all_columns, 0.5)),
+        by_kind={kind: speed(curve.limit(columns, HOLD_PROBABILITY)) for kind, columns in columns_of_kind.items()},
+        binding=hits.bounds.names[curve.worst(scale_limit)],
         unknown=hits.bounds.unknown,
         draws=curve.draws,
     )
@@ -121,58 +122,58 @@ class _Curve:
 
     def __init__(self, hits: Hits) -> None:
         self._hits = hits
-        self._known = {0.0: hits.rest}
+        self._ratios = {0.0: hits.ratios_at_rest}
         self.highest = MAX_SPEED_M_S / hits.speed
 
     def add(self, scale: float) -> None:
         """Simulate one more speed."""
-        self._known[scale] = self._hits.ratios(scale)
-        self._usable = np.all([np.isfinite(rows).all(axis=1) for rows in self._known.values()], axis=0)
-        if self.draws < MIN_STABLE_SHARE * self._usable.size:
+        self._ratios[scale] = self._hits.ratios(scale)
+        self._stable = np.all([np.isfinite(rows).all(axis=1) for rows in self._ratios.values()], axis=0)
+        if self.draws < MIN_STABLE_SHARE * self._stable.size:
             raise Infeasible(
-                f"only {self.draws} of {self._usable.size} draws of the hit are stable; expected more damping in joints"
+                f"only {self.draws} of {self._stable.size} draws of the hit are stable; expected more damping in joints"
                 " or pads, or a shorter timing.drive_period (impact-rs robot check says which)"
             )
 
-    def settle(self, which: NDArray[np.intp], level: float) -> None:
-        """Simulate the limit of some quantities, until it hardly differs from a simulated speed."""
+    def settle(self, columns: NDArray[np.intp], level: float) -> None:
+        """Simulate hits at the limit of some quantities until it hardly differs from a simulated speed."""
         for _ in range(MAX_SIMULATED_SPEEDS):
-            found = self.limit(which, level)
-            if any(abs(found - scale) <= SPEED_TOLERANCE * found for scale in self._known):
+            limit = self.limit(columns, level)
+            if any(abs(limit - scale) <= SPEED_TOLERANCE * limit for scale in self._ratios):
                 return
-            self.add(found)
+            self.add(limit)
 
     @property
     def draws(self) -> int:
-        """Draws that are stable at every speed."""
-        return int(self._usable.sum())
+        """Number of draws that are stable at every simulated speed."""
+        return int(self._stable.sum())
 
     def at(self, scale: float) -> Array:
         """Quantities over their bounds, ``(draws, k)``."""
-        scales = sorted(self._known)
-        place = int(np.clip(np.searchsorted(scales, scale), 1, len(scales) - 1))
-        low, high = scales[place - 1], scales[place]
+        scales = sorted(self._ratios)
+        upper = int(np.clip(np.searchsorted(scales, scale), 1, len(scales) - 1))
+        low, high = scales[upper - 1], scales[upper]
         share = (scale - low) / (high - low)
-        return np.asarray(((1.0 - share) * self._known[low] + share * self._known[high])[self._usable])
+        return np.asarray(((1.0 - share) * self._ratios[low] + share * self._ratios[high])[self._stable])
 
-    def quantile(self, scale: float, which: NDArray[np.intp], level: float) -> float:
-        """Quantile over the draws of the largest of some ratios."""
-        return float(np.quantile(self.at(scale)[:, which].max(axis=1), level, method="higher"))
+    def quantile(self, scale: float, columns: NDArray[np.intp], level: float) -> float:
+        """Quantile over the draws of the largest ratio in some columns [-]."""
+        return float(np.quantile(self.at(scale)[:, columns].max(axis=1), level, method="higher"))
 
-    def limit(self, which: NDArray[np.intp], level: float) -> float:
+    def limit(self, columns: NDArray[np.intp], level: float) -> float:
         """Largest scale at which the quantile is at most 1, by bisection; 0: not even at rest; ``highest``: beyond."""
-        if self.quantile(0.0, which, level) > 1.0:
+        if self.quantile(0.0, columns, level) > 1.0:
             return 0.0
-        if self.quantile(self.highest, which, level) <= 1.0:
+        if self.quantile(self.highest, columns, level) <= 1.0:
             return self.highest
         low, high = 0.0, self.highest
         while high - low > 1e-4 * high:
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if self.quantile(middle, which, level) <= 1.0 else (low, middle)
+            low, high = (middle, high) if self.quantile(middle, columns, level) <= 1.0 else (low, middle)
         return low
 
     def worst(self, scale: float) -> int:
-        """Number of the quantity whose quantile is largest."""
+        """Index of the quantity with the largest quantile."""
         return int(np.argmax(np.quantile(self.at(min(scale, self.highest)), HOLD_PROBABILITY, axis=0)))
 
 

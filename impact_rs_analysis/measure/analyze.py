@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.measure.arms import ArmDocument, arms_of
-from impact_rs_analysis.measure.departure import ObjectLeft, objects_left
+from impact_rs_analysis.measure.departure import ObjectDeparture, object_departures
 from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_analysis.measure.linear_fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
@@ -80,9 +80,9 @@ class ArmSet:
 
     Attributes:
         name: The arm.
-        fit: Line and zero crossing of its own net feedback, signed along the axis.
+        fit: Line through the net feedback of this arm, with its zero crossing, signed along the axis.
         predictions: Predictions by motor-inertia model for the first contact, signed along the axis.
-        predictions_settled: The same for the settled contact.
+        predictions_settled: Predictions by motor-inertia model for the settled contact, signed along the axis.
     """
 
     name: str
@@ -97,7 +97,7 @@ class ArmSet:
 
     @property
     def half_interval(self) -> float | None:
-        """Larger half of its 95 % interval [m/s]; None if unavailable."""
+        """Larger half of the 95 % interval of the estimate [m/s]; None without an interval."""
         interval = self.fit.interval
         return None if interval is None else max(abs(bound - self.fit.estimate) for bound in interval)
 
@@ -136,7 +136,7 @@ class ExperimentSet:
         trials: Trials with impact.
         fit: The line and its zero crossing, signed along the axis.
         predictions: Predictions by motor-inertia model for the first contact, signed along the axis.
-        predictions_settled: The same for the settled contact.
+        predictions_settled: Predictions by motor-inertia model for the settled contact, signed along the axis.
         prediction_interval: 95 % interval of the nominal prediction (B_theta, first contact) from the uncertainties
             that the scenario states, signed along the axis, low then high [m/s]; None if unavailable.
         ante_velocity: Ante-impact velocity, signed along the axis [m/s]; NaN where it is not known.
@@ -160,7 +160,7 @@ class ExperimentSet:
 
     @property
     def jump(self) -> Jump:
-        """Nominal prediction (B_theta, first contact) beside the estimate, signed along the axis."""
+        """Nominal prediction (B_theta, first contact) and estimate, signed along the axis."""
         return Jump(self.label, self.ante_velocity, self.predictions["reduced"].velocity, self.fit.estimate)
 
     def of_contact(self, contact: str) -> dict[str, Prediction]:
@@ -254,11 +254,12 @@ class Analysis:
         skipped: Bags that could not be used.
         missing: Trials of the manifest that do not exist.
         no_impact: Trials without impact.
-        apart: Trials whose arms hit far apart in time, with the time between [s] (``MAX_IMPACT_SPREAD_S``); they stay
+        apart: Trials whose arms hit more than ``MAX_IMPACT_SPREAD_S`` apart, with the time between the impacts [s];
+            they stay in the fit.
+        limited: Trials with a joint at its torque limit in the window, with the joint and the duration [s]; they stay
             in the fit.
-        limited: Trials with a joint at its torque limit in the window, with its name and duration [s]; they stay in the
-            fit.
-        left: Sets whose object left the pad after the hit, which no prediction knows; they stay in the fit.
+        departed: Sets whose object left the pad after the hit, while predictions assume lasting contact; they stay in
+            the fit.
         sensitivity: Sensitivity of the estimates to settings; empty if none was varied.
         unsealed: Bags without checksums, in which changes are not detected.
         arms: Arms of the trials.
@@ -272,14 +273,14 @@ class Analysis:
     no_impact: tuple[str, ...]
     apart: tuple[tuple[str, float], ...] = ()
     limited: tuple[tuple[str, str, float], ...] = ()
-    left: tuple[ObjectLeft, ...] = ()
+    departed: tuple[ObjectDeparture, ...] = ()
     sensitivity: Sensitivity = Sensitivity()
     unsealed: tuple[str, ...] = ()
     arms: tuple[ArmDocument, ...] = ()
 
     @property
     def jumps(self) -> list[Jump]:
-        """Nominal prediction beside estimate of every set."""
+        """Nominal prediction and estimate of every set."""
         return [entry.jump for entry in self.sets]
 
     def errors(self, model: str, contact: str) -> list[float]:
@@ -291,13 +292,13 @@ class Analysis:
         return {model: _mean(self.errors(model, contact)) for model in MOTOR_INERTIA_MODELS}
 
     def absolute_error(self, contact: str) -> dict[str, float | None]:
-        """Mean of its absolute value by model: the quality [%]; None without sets."""
+        """Mean of the absolute mismatch by model: the quality [%]; None without sets."""
         return {model: _mean([abs(error) for error in self.errors(model, contact)]) for model in MOTOR_INERTIA_MODELS}
 
     def nearest(self, contact: str) -> dict[str, int]:
         """Number of sets in which each model is nearest to the estimate."""
-        found = Counter(_nearest(entry.of_contact(contact)) for entry in self.sets)
-        return {model: found[model] for model in MOTOR_INERTIA_MODELS}
+        counts = Counter(_nearest(entry.of_contact(contact)) for entry in self.sets)
+        return {model: counts[model] for model in MOTOR_INERTIA_MODELS}
 
     def to_json(self) -> dict[str, Any]:
         """Document of ``analyze --json``."""
@@ -321,7 +322,7 @@ class Analysis:
             "missing": list(self.missing),
             "no_impact": list(self.no_impact),
             "limited": [{"trial": name, "joint": joint, "time_s": time} for name, joint, time in self.limited],
-            "object_left": [entry.to_json() for entry in self.left],
+            "object_left": [entry.to_json() for entry in self.departed],
             "apart": [{"trial": name, "between_impacts_s": spread} for name, spread in self.apart],
         }
 
@@ -335,7 +336,7 @@ def _mean(values: list[float]) -> float | None:
 
 
 def feedback_of(path: Path) -> tuple[TrialFeedback | str, bool]:
-    """Feedback of a bag or the reason why it cannot be used; and whether the bag has complete checksums."""
+    """Net feedback of a bag, or the reason why it cannot be used; and whether the bag has complete checksums."""
     try:
         bag = TrialBag.open(path)
         return net_feedback(bag), bag.sealed
@@ -351,14 +352,14 @@ def _bags_of(directory: Path) -> list[Path]:
         raise InputError("this is a single trial; give the folder it lies in", file=directory)
     bags = trials_in(directory)
     if not bags:
-        raise InputError("this folder holds no trials (a trial is a subfolder that is a rosbag2 bag)", file=directory)
+        raise InputError("this folder holds no trials (a trial is a subfolder with a rosbag2 bag)", file=directory)
     return bags
 
 
 def _sets_of(
     directory: Path, groups: Mapping[tuple[str, str, str], Sequence[TrialFeedback]]
 ) -> tuple[list[ExperimentSet], list[Incomplete]]:
-    """Results of the sets of trials by scenario, object and case, and the sets without a result."""
+    """Results of the sets, from trials by scenario, object and case, and the sets without a result."""
     sets, incomplete = [], []
     for key, trials in groups.items():
         try:
@@ -369,7 +370,7 @@ def _sets_of(
 
 
 class _BagReader:
-    """Reads bags and keeps which could not be used, and which have no checksums."""
+    """Reads bags, and lists the unusable ones and those without checksums."""
 
     def __init__(self, map_tasks: Map, progress: Callable[[int, int], None] | None, total: int) -> None:
         self.skipped: list[SkippedBag] = []
@@ -378,19 +379,19 @@ class _BagReader:
 
     def read(self, paths: Sequence[Path], prefix: str = "") -> list[TrialFeedback]:
         """Net feedback of the usable trials."""
-        found = []
-        spread = self._map if len(paths) > MIN_PARALLEL_BAGS else map
-        for path, (feedback, sealed) in zip(paths, spread(feedback_of, paths), strict=True):
+        usable = []
+        map_paths = self._map if len(paths) > MIN_PARALLEL_BAGS else map
+        for path, (feedback, sealed) in zip(paths, map_paths(feedback_of, paths), strict=True):
             if isinstance(feedback, str):
                 self.skipped.append(SkippedBag(f"{prefix}{path.name}", feedback))
             else:
-                found.append(feedback)
+                usable.append(feedback)
             if not sealed:
                 self.unsealed.append(f"{prefix}{path.name}")
             self._count += 1
             if self._progress is not None:
                 self._progress(self._count, self._total)
-        return found
+        return usable
 
 
 def analyze_campaign(
@@ -400,62 +401,67 @@ def analyze_campaign(
 
     Args:
         directory: Folder whose subfolders are bags.
-        progress: Called with the number of bags read, and of all bags.
+        progress: Called with the number of bags read and the number of all bags.
         map_tasks: Parallel map, for campaigns of many trials.
 
     Raises:
-        InputError: No such folder, or none of its bags is a usable trial.
+        InputError: No such folder, or no usable trial in it.
     """
     bags = _bags_of(directory)
-    folders = varied_folders(directory)
-    varied = {key: trials_in(directory / folder) for key, folder in folders.items()}
-    total = len(bags) + sum(map(len, varied.values()))
+    varied_folder_names = varied_folders(directory)
+    varied_bags = {key: trials_in(directory / folder) for key, folder in varied_folder_names.items()}
+    total = len(bags) + sum(map(len, varied_bags.values()))
     reader = _BagReader(map_tasks, progress, total)
-    measured = reader.read(bags)
-    if not measured:
+    trials_read = reader.read(bags)
+    if not trials_read:
         first = reader.skipped[0]
         raise InputError(
             f"none of its {len(bags)} bags is a trial that can be used; {first.name}: {first.reason}",
             file=directory,
         )
-    others = {key: reader.read(paths, f"{folders[key]}/") for key, paths in varied.items()}
+    varied_trials = {key: reader.read(paths, f"{varied_folder_names[key]}/") for key, paths in varied_bags.items()}
     missing = _missing(directory, reader.skipped)
-    measured = _one_scenario_each(measured, reader.skipped)
+    trials_read = _one_scenario_each(trials_read, reader.skipped)
     groups: dict[tuple[str, str, str], list[TrialFeedback]] = defaultdict(list)
-    for trial in measured:
+    for trial in trials_read:
         groups[trial.info.scenario, trial.info.object, trial.info.case_name].append(trial)
     sets, incomplete = _sets_of(directory, groups)
     return Analysis(
         directory=directory,
-        sets=tuple(_in_order(sets, measured)),
+        sets=tuple(_in_order(sets, trials_read)),
         incomplete=tuple(incomplete),
         skipped=tuple(reader.skipped),
         unsealed=tuple(reader.unsealed),
         missing=tuple(missing),
-        no_impact=tuple(trial.name for trial in measured if not trial.impact),
+        no_impact=tuple(trial.name for trial in trials_read if not trial.impact),
         apart=tuple(
-            (trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > MAX_IMPACT_SPREAD_S
+            (trial.name, trial.spread) for trial in trials_read if trial.impact and trial.spread > MAX_IMPACT_SPREAD_S
         ),
         limited=tuple(
             (prefix + trial.name, *entry)
-            for prefix, trials in [("", measured), *((f"{folders[key]}/", found) for key, found in others.items())]
+            for prefix, trials in [
+                ("", trials_read),
+                *((f"{varied_folder_names[key]}/", varied_set) for key, varied_set in varied_trials.items()),
+            ]
             for trial in trials
             for entry in trial.limited
         ),
-        left=tuple(
-            objects_left({key: [trial.departures for trial in own if trial.impact] for key, own in groups.items()})
+        departed=tuple(
+            object_departures(
+                {key: [trial.departures for trial in set_trials if trial.impact] for key, set_trials in groups.items()}
+            )
         ),
-        sensitivity=sensitivity_of(measured, others),
+        sensitivity=sensitivity_of(trials_read, varied_trials),
         arms=arms_of(
             Physics.nominal(scenario, next(iter(scenario.objects)))
-            for text in dict.fromkeys(trial.info.scenario_json for trial in measured)
+            for text in dict.fromkeys(trial.info.scenario_json for trial in trials_read)
             for scenario in [recorded_scenario(text, directory)]
         ),
     )
 
 
 def _missing(directory: Path, skipped: list[SkippedBag]) -> list[str]:
-    """Names of the manifest's trials without a folder; a broken manifest is only reported."""
+    """Trials of the manifest without a folder; a broken manifest is only reported."""
     if not (directory / MANIFEST).exists():
         return []
     try:
@@ -468,36 +474,36 @@ def _missing(directory: Path, skipped: list[SkippedBag]) -> list[str]:
 
 @functools.lru_cache(maxsize=64)
 def _version_of(scenario_json: str) -> str:
-    """A recorded scenario without how well its numbers are known, which is no part of a trial."""
+    """A recorded scenario without its uncertainties and assumptions, which do not change a trial."""
     try:
         data = json.loads(scenario_json)
         data.pop("uncertainty", None)
         for robot in data["robots"].values():
             robot["drive"].pop("assumed", None)
-    except (ValueError, KeyError, AttributeError):  # what it is instead, the reader of the trial says
+    except (ValueError, KeyError, AttributeError):  # the reader of the trial reports the error
         return scenario_json
     return json.dumps(data)
 
 
 def _one_scenario_each(trials: list[TrialFeedback], skipped: list[SkippedBag]) -> list[TrialFeedback]:
-    """Leave out trials recorded with another version of the scenario than most others of that name."""
+    """Trials of the most frequent version of every scenario; the others are skipped."""
     versions: dict[str, Counter[str]] = defaultdict(Counter)
     for trial in trials:
         versions[trial.info.scenario][_version_of(trial.info.scenario_json)] += 1
-    common = {name: counter.most_common(1)[0][0] for name, counter in versions.items()}
-    kept = []
+    common_version = {name: counter.most_common(1)[0][0] for name, counter in versions.items()}
+    matching = []
     for trial in trials:
-        if _version_of(trial.info.scenario_json) == common[trial.info.scenario]:
-            kept.append(trial)
+        if _version_of(trial.info.scenario_json) == common_version[trial.info.scenario]:
+            matching.append(trial)
         else:
             reason = f"recorded with another version of scenario {trial.info.scenario!r} than most trials of the folder"
             skipped.append(SkippedBag(trial.name, reason))
-    return kept
+    return matching
 
 
-def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedback) -> ExperimentSet:
-    info = example.info
-    scenario = recorded_scenario(info.scenario_json, directory / example.name)
+def _evaluate(directory: Path, trials: list[TrialFeedback], first_trial: TrialFeedback) -> ExperimentSet:
+    info = first_trial.info
+    scenario = recorded_scenario(info.scenario_json, directory / first_trial.name)
     if scenario.object(info.object).fixed:
         raise FitError(
             f"{info.object} is fixed: it stops the pad whatever the reference is, so that no net feedback measures the "
@@ -505,19 +511,20 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
         )
     references = np.array([trial.info.reference_post_velocity for trial in trials])
     fit = fit_zero_crossing(references, np.array([trial.net for trial in trials]))
-    by_arm = [predict_arms(scenario, info.object, info.case_name, contact) for contact in CONTACTS]
+    by_contact = [predict_arms(scenario, info.object, info.case_name, contact) for contact in CONTACTS]
     first, settled = (
-        {model: Prediction.of(float(np.mean(list(own.values()))), fit) for model, own in found.items()}
-        for found in by_arm
+        {model: Prediction.of(float(np.mean(list(velocities.values()))), fit) for model, velocities in by_model.items()}
+        for by_model in by_contact
     )
     arms = []
     for arm in info.robots if len(info.robots) > 1 else ():
         with suppress(FitError):  # the mean of the arms may have an estimate even if one arm has none
-            own = fit_zero_crossing(references, np.array([trial.nets[arm] for trial in trials]))
+            arm_fit = fit_zero_crossing(references, np.array([trial.nets[arm] for trial in trials]))
             first_settled = [
-                {model: Prediction.of(entry[arm], own) for model, entry in found.items()} for found in by_arm
+                {model: Prediction.of(entry[arm], arm_fit) for model, entry in by_model.items()}
+                for by_model in by_contact
             ]
-            arms.append(ArmSet(arm, own, *first_settled))
+            arms.append(ArmSet(arm, arm_fit, *first_settled))
     return ExperimentSet(
         scenario=info.scenario,
         object=info.object,
@@ -538,9 +545,9 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
 def _in_order(sets: list[ExperimentSet], trials: list[TrialFeedback]) -> list[ExperimentSet]:
     """Sets in the order of objects and cases in the scenario."""
     order: dict[tuple[str, str, str], tuple[str, int, int]] = {}
-    for text, name in {(trial.info.scenario_json, trial.info.scenario) for trial in trials}:
-        scenario = recorded_scenario(text, name)
-        for i, name_of_object in enumerate(scenario.objects):
-            for j, case in enumerate(scenario.cases):
-                order[name, name_of_object, case] = (name, i, j)
+    for scenario_json, scenario_name in {(trial.info.scenario_json, trial.info.scenario) for trial in trials}:
+        scenario = recorded_scenario(scenario_json, scenario_name)
+        for object_index, object_name in enumerate(scenario.objects):
+            for case_index, case in enumerate(scenario.cases):
+                order[scenario_name, object_name, case] = (scenario_name, object_index, case_index)
     return sorted(sets, key=lambda entry: order[entry.scenario, entry.object, entry.case])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arms of measurements, as all reports show them."""
+"""Facts about the arms of measurements, for all reports."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ArmDocument(Schema):
     motor_inertia_rotor_kg_m2: tuple[float, ...] = Field(description="B_rho by joint [kg m^2]")
     motor_inertia_reduced_kg_m2: tuple[float, ...] = Field(description="reflected at the links, B_theta [kg m^2]")
     torque_limits_Nm: tuple[float, ...] = Field(description="torque limits by joint [N m]")
-    assumed: tuple[str, ...] = omitted((), description="what is assumed of it, neither measured nor published")
+    assumed: tuple[str, ...] = omitted((), description="assumed quantities, neither measured nor published")
 
     @property
     def title(self) -> str:
@@ -39,11 +39,11 @@ def robot_name(facts: RobotFacts) -> str:
     return facts.source
 
 
-def arms_of(worlds: Iterable[Physics]) -> tuple[ArmDocument, ...]:
-    """The distinct arms of some physics, in order of appearance."""
-    found: dict[ArmDocument, None] = {}
+def arms_of(physics_list: Iterable[Physics]) -> tuple[ArmDocument, ...]:
+    """The distinct arms of several scenarios, in order of appearance."""
+    documents: dict[ArmDocument, None] = {}
     names: dict[RobotFacts, str] = {}
-    for physics in worlds:
+    for physics in physics_list:
         for name, arm in physics.arms.items():
             if arm.facts not in names:
                 names[arm.facts] = robot_name(arm.facts)
@@ -57,13 +57,13 @@ def arms_of(worlds: Iterable[Physics]) -> tuple[ArmDocument, ...]:
                 torque_limits_Nm=arm.facts.limits.torque_Nm,
                 assumed=arm.assumed,
             )
-            found.setdefault(document)
-    return tuple(found)
+            documents.setdefault(document)
+    return tuple(documents)
 
 
 def assumptions(arms: Iterable[ArmDocument]) -> list[str]:
-    """Assumptions about arms, as a list with one sentence; empty without any."""
+    """Assumptions about arms, as a list with one sentence; empty without assumptions."""
     by_arm: dict[str, tuple[str, ...]] = {}
-    for arm in arms:  # an arm may have one document a scenario
+    for arm in arms:  # an arm has one document per scenario
         by_arm[arm.name] = tuple(dict.fromkeys((*by_arm.get(arm.name, ()), *arm.assumed)))
     return [*filter(None, [assumed_words(by_arm)])]

@@ -28,7 +28,7 @@ from impact_rs_trials.bags.reader import reason_of
 from impact_rs_trials.store import Folder, Store, open_store, owned
 from impact_rs_trials.workers import Map
 
-ROWS_PER_PART = 2000  # held in memory, and lost if an export is killed
+ROWS_PER_PART = 2000  # kept in memory, and lost if an export is killed
 PART_NAME = re.compile(r"part-\d+\.parquet")
 CAMPAIGN_KEY = b"impact_rs_campaign"  # in the metadata of every part: location of its bags
 
@@ -38,8 +38,8 @@ class Extended:
     """Result of an export into a data set.
 
     Attributes:
-        trials: Number of trials in the data set now.
-        read: Number of them that were read this time.
+        trials: Number of trials in the data set.
+        read: Number of trials that this export has read.
         skipped: Bags that could not be read; the next export tries them again.
     """
 
@@ -49,50 +49,50 @@ class Extended:
 
 
 def extend(
-    place: str | Path | Store,
+    campaign: str | Path | Store,
     folder: Path,
     map_tasks: Map,
     progress: Callable[[int, int], None],
-    rows: int = ROWS_PER_PART,
+    max_rows: int = ROWS_PER_PART,
 ) -> Extended:
     """Bring a data set up to date with a campaign. Rows of deleted bags stay.
 
     Args:
-        place: Folder with bags of trials at any depth, or its URL; it may grow meanwhile.
+        campaign: Folder with bags of trials at any depth, or its URL; it may grow meanwhile.
         folder: Folder of the data set; made if missing.
         map_tasks: Parallel map.
-        progress: Called with the number of new bags read, and of all new bags.
-        rows: Largest number of rows of a part.
+        progress: Called with the number of new bags read and the number of all new bags.
+        max_rows: Largest number of rows of a part.
 
     Raises:
-        InputError: The folder is no data set of this campaign, or in use by another process; a part cannot be read or
-            written; no bags, no readable trial, or a package is not installed.
+        InputError: The folder is no data set of this campaign, or another process uses it; a part cannot be read or
+            written; there is no bag or no readable trial; a package is not installed.
     """
     require("pyarrow", folder)
-    store = open_store(place)
+    store = open_store(campaign)
     _check(folder)
     stamps = store.stamps()
     added, skipped = 0, []
     with owned(Folder(folder), "data set"):
         parts = _Parts(folder, str(store))
-        known = parts.stamps()
-        new = sorted(name for name, stamp in stamps.items() if known.get(name) != stamp)
-        parts.drop(known.keys() & new)
-        for start in range(0, len(new), rows):
-            names = new[start : start + rows]
-            read: list[dict[str, Any]] = []
+        recorded_stamps = parts.stamps()
+        changed = sorted(name for name, stamp in stamps.items() if recorded_stamps.get(name) != stamp)
+        parts.drop(recorded_stamps.keys() & changed)
+        for start in range(0, len(changed), max_rows):
+            names = changed[start : start + max_rows]
+            new_rows: list[dict[str, Any]] = []
             try:
-                found = zip(names, map_tasks(functools.partial(_row, store), names), strict=True)
-                for number, (name, row) in enumerate(found, start=start + 1):
+                rows_by_name = zip(names, map_tasks(functools.partial(_row, store), names), strict=True)
+                for number, (name, row) in enumerate(rows_by_name, start=start + 1):
                     if isinstance(row, SkippedBag):
                         skipped.append(row)
                     else:
-                        read.append({**row, "bag": name, "stamp": stamps[name]})
-                    progress(number, len(new))
+                        new_rows.append({**row, "bag": name, "stamp": stamps[name]})
+                    progress(number, len(changed))
             finally:  # keep rows that were read before an interrupt
-                parts.add(read)
-            added += len(read)
-        trials = len(known.keys() - new) + added
+                parts.add(new_rows)
+            added += len(new_rows)
+        trials = len(recorded_stamps.keys() - changed) + added
         if not trials:
             reason = f"; {skipped[0].name}: {skipped[0].reason}" if skipped else ""
             raise InputError(f"no readable trials here{reason}", file=str(store))
@@ -128,7 +128,7 @@ class _Parts:
         campaign: Location of their bags, for the metadata of every part.
 
     Raises:
-        InputError: One cannot be read, or is not of this data set.
+        InputError: A part cannot be read, or belongs to another data set.
     """
 
     def __init__(self, folder: Path, campaign: str) -> None:
@@ -141,13 +141,13 @@ class _Parts:
         self._conform()
 
     def stamps(self) -> dict[str, int]:
-        """The stamp of every bag that has a row, by its name."""
-        found: dict[str, int] = {}
+        """Stamp of every bag that has a row, by name of the bag."""
+        stamps: dict[str, int] = {}
         for path in _paths(self._folder):
             with _opened(path) as part:
                 columns = part.read(["bag", "stamp"]).to_pydict()
-            found.update(zip(columns["bag"], columns["stamp"], strict=True))
-        return found
+            stamps.update(zip(columns["bag"], columns["stamp"], strict=True))
+        return stamps
 
     def drop(self, names: Collection[str]) -> None:
         """Remove the rows of bags, and parts that become empty."""
@@ -156,12 +156,12 @@ class _Parts:
         for path in _paths(self._folder) if names else ():
             with _opened(path) as part:
                 table = part.read()
-            gone = pyarrow.compute.is_in(table["bag"], pyarrow.array(list(names)))
-            kept = table.filter(pyarrow.compute.invert(gone))
-            if not kept.num_rows:
+            dropped = pyarrow.compute.is_in(table["bag"], pyarrow.array(list(names)))
+            remaining = table.filter(pyarrow.compute.invert(dropped))
+            if not remaining.num_rows:
                 path.unlink()
-            elif kept.num_rows < table.num_rows:
-                self._write(path, kept)
+            elif remaining.num_rows < table.num_rows:
+                self._write(path, remaining)
 
     def add(self, rows: list[dict[str, Any]]) -> None:
         """Add a part, unless there are no rows."""
@@ -179,18 +179,18 @@ class _Parts:
         """Schema of a part, checked to belong to this data set."""
         with _opened(path) as part:
             schema = part.schema_arrow
-        theirs, ours = (schema.metadata or {}).get(CAMPAIGN_KEY), self._metadata[CAMPAIGN_KEY]
-        if theirs is None:
+        recorded_campaign, campaign = (schema.metadata or {}).get(CAMPAIGN_KEY), self._metadata[CAMPAIGN_KEY]
+        if recorded_campaign is None:
             raise InputError("is not part of a data set of impact-rs; choose another folder", file=path)
-        if theirs != ours:
+        if recorded_campaign != campaign:
             raise InputError(
-                f"holds the trials of {theirs.decode()}; choose another folder for those of {ours.decode()}",
+                f"holds the trials of {recorded_campaign.decode()}; choose another folder for {campaign.decode()}",
                 file=self._folder,
             )
         return schema
 
     def _united(self, schemas: list[Any]) -> Any:
-        """The columns of all of them."""
+        """Union of the columns of several schemas."""
         import pyarrow
 
         try:
@@ -224,7 +224,7 @@ def _opened(path: Path) -> Iterator[Any]:
     """A part, opened for reading.
 
     Raises:
-        InputError: It is damaged, or no Parquet file.
+        InputError: The file is damaged, or no Parquet file.
     """
     import pyarrow
     import pyarrow.parquet

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Design study over robots, poses, motor inertias and pads (outlook of the paper).
 
-Every design is one impact problem: an arm in a random pose, its pad square before a box that stands free, at the same
-ante-impact speed along the pad's normal n, with the smallest joint velocity. Its answer by the impact map gives
+Every design is one impact problem: an arm in a random pose hits a free box squarely with its pad, at the same
+ante-impact speed along the pad's normal n, with the least-norm joint velocity. The impact map gives
 
     impulse        n^T m (v_c^+ - v_c^-)                        of the object, v_c of its centre of mass [N s]
     joint jump     max_i |dq_i^+ - dq_i^-| / dq_i,max           over the limit of the joint's velocity [-]
@@ -10,9 +10,9 @@ ante-impact speed along the pad's normal n, with the smallest joint velocity. It
 
 Intervals follow from draws from the uncertainties of a scenario (:mod:`impact_rs_sim.impact_map.uncertainty`): the
 value of the nominal design, and Student's t times the deviation of the draws' logarithms. A motor inertia that is
-assumed, as of a drive scaled from another arm, is drawn from none to three times the number. Every draw orders all
-designs once, with the same object and the same errors of setting up, for these are common to them; a rank has the range
-of these orders.
+assumed, for example scaled from another arm, is drawn from zero to three times the number. Every draw ranks all designs
+once, with the same object and the same setup errors, which are common to all designs; the interval of a rank is the
+spread of these ranks.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Estimate:
         value: Value of the nominal design.
         low: Lower end at ``CONFIDENCE_LEVEL``.
         high: Upper end.
-        draws: Values of the draws; nan where one has no answer.
+        draws: Values of the draws; nan for a draw without an answer.
     """
 
     value: float
@@ -176,23 +176,23 @@ class DesignStudy:
         conditions: The common conditions.
         designs: With answers, in the order of robots and poses.
         failed: Reason by name of the design, where the map has no answer.
-        places: Random places that were tried, by robot.
+        tries: Number of random positions that were tried, by robot.
     """
 
     conditions: DesignConditions
     designs: tuple[Design, ...]
     failed: Mapping[str, str]
-    places: Mapping[str, int]
+    tries: Mapping[str, int]
 
     def ranked(self, measure: str) -> list[tuple[Design, int, int]]:
-        """Designs by falling value, each with the ends of its rank at ``CONFIDENCE_LEVEL`` over the draws."""
-        found = [design.measures[measure] for design in self.designs]
-        values = np.array([one.value for one in found])
-        draws = np.array([one.draws for one in found])
-        drawn = np.where(np.isnan(draws), values[:, None], draws)
-        ranks = scipy.stats.rankdata(-drawn, method="min", axis=0)
-        tails = ((1.0 - CONFIDENCE_LEVEL) / 2.0, (1.0 + CONFIDENCE_LEVEL) / 2.0)
-        best, worst = np.quantile(ranks, tails, axis=1, method="nearest").astype(int)
+        """Designs by falling value, with best and worst rank: the interval over the draws at ``CONFIDENCE_LEVEL``."""
+        estimates = [design.measures[measure] for design in self.designs]
+        values = np.array([estimate.value for estimate in estimates])
+        draws = np.array([estimate.draws for estimate in estimates])
+        drawn_values = np.where(np.isnan(draws), values[:, None], draws)
+        ranks = scipy.stats.rankdata(-drawn_values, method="min", axis=0)
+        levels = ((1.0 - CONFIDENCE_LEVEL) / 2.0, (1.0 + CONFIDENCE_LEVEL) / 2.0)
+        best, worst = np.quantile(ranks, levels, axis=1, method="nearest").astype(int)
         order = np.argsort(-values, kind="stable")
         return [(self.designs[index], int(best[index]), int(worst[index])) for index in order]
 
@@ -217,27 +217,27 @@ def study_designs(
         InputError: No such robot or object, or too few poses that the robot reaches fast enough.
     """
     conditions.scenario.object(conditions.object_name)
-    stances: list[RobotPose] = []
-    places = {}
-    wanted = [(robot, conditions, poses) for robot in robots]
-    for number, (robot, (own, tried)) in enumerate(
-        zip(robots, map_tasks(_random_poses_of, wanted), strict=True), start=1
+    all_robot_poses: list[RobotPose] = []
+    tries = {}
+    pose_tasks = [(robot, conditions, poses) for robot in robots]
+    for number, (robot, (robot_poses, tried)) in enumerate(
+        zip(robots, map_tasks(_random_poses_of, pose_tasks), strict=True), start=1
     ):
-        places[robot] = tried
-        stances += own
+        tries[robot] = tried
+        all_robot_poses += robot_poses
         report("poses", number, len(robots))
     designs: list[Design] = []
     failed: dict[str, str] = {}
-    tasks = [(conditions, stance) for stance in stances]
-    for done, (answers, wrong) in enumerate(map_tasks(evaluate, tasks), start=1):
+    tasks = [(conditions, robot_pose) for robot_pose in all_robot_poses]
+    for done, (answers, robot_failed) in enumerate(map_tasks(evaluate, tasks), start=1):
         designs += answers
-        failed |= wrong
+        failed |= robot_failed
         report("designs", done * len(conditions.pads), len(tasks) * len(conditions.pads))
-    return DesignStudy(conditions, tuple(designs), failed, places)
+    return DesignStudy(conditions, tuple(designs), failed, tries)
 
 
 def random_poses(robot: str, conditions: DesignConditions, poses: int) -> tuple[list[RobotPose], int]:
-    """Random poses in which a robot reaches the speed, and the number of places that were tried.
+    """Random poses in which a robot reaches the speed, and the number of positions that were tried.
 
     Raises:
         InputError: No such robot, it has fewer than six joints, or too few of its poses are fast enough.
@@ -246,17 +246,17 @@ def random_poses(robot: str, conditions: DesignConditions, poses: int) -> tuple[
     if facts.joint_count < 6:
         raise InputError(f"{robot} has {facts.joint_count} joints; a pad that is held upright needs six")
     model = RobotModel(facts, replace(_effector(conditions, "wide"), mount_yaw=0.0))
-    found: list[RobotPose] = []
-    for tried, pose in enumerate(upright_poses(model, conditions.seed), start=1):
+    fast_poses: list[RobotPose] = []
+    for tries, pose in enumerate(upright_poses(model, conditions.seed), start=1):
         if pose is not None and np.all(np.abs(_velocity(model, pose.q, conditions.speed)) <= model.velocity_max):
-            found.append(RobotPose(robot, len(found) + 1, pose.q))
-        if len(found) == poses:
-            return found, tried
-        if tried >= MAX_TRIES_PER_POSE * poses:
+            fast_poses.append(RobotPose(robot, len(fast_poses) + 1, pose.q))
+        if len(fast_poses) == poses:
+            return fast_poses, tries
+        if tries >= MAX_TRIES_PER_POSE * poses:
             break
     raise InputError(
-        f"{robot} reaches {conditions.speed:g} m/s in {len(found)} of {tried} random places, expected {poses}; give a "
-        "lower --speed or fewer --poses"
+        f"{robot} reaches {conditions.speed:g} m/s in {len(fast_poses)} of {tries} random positions, expected {poses}; "
+        "give a lower --speed or fewer --poses"
     )
 
 
@@ -266,35 +266,35 @@ def _random_poses_of(task: tuple[str, DesignConditions, int]) -> tuple[list[Robo
 
 
 def evaluate(task: tuple[DesignConditions, RobotPose]) -> tuple[list[Design], dict[str, str]]:
-    """All designs of one robot in one pose, and why some have no answer."""
-    conditions, stance = task
+    """All designs of one robot in one pose, and the reasons for designs without an answer, by name."""
+    conditions, robot_pose = task
     designs, failed = [], {}
-    for motor_inertia, pad, problem in problems_of(conditions, stance):
-        name = f"{stance.robot}/{stance.number}/{motor_inertia}/{pad}"
+    for motor_inertia, pad, problem in problems_of(conditions, robot_pose):
+        name = f"{robot_pose.robot}/{robot_pose.number}/{motor_inertia}/{pad}"
         try:
-            measures = _measured(problem, conditions, uncertainties_of(conditions, stance.robot, motor_inertia))
+            measures = _measured(problem, conditions, uncertainties_of(conditions, robot_pose.robot, motor_inertia))
         except (InputError, ImpactMapError) as error:
             failed[name] = str(error)
             continue
-        position = tuple(stance.position.tolist())
-        designs.append(Design(stance.robot, stance.number, position, motor_inertia, pad, measures))
+        position = tuple(robot_pose.position.tolist())
+        designs.append(Design(robot_pose.robot, robot_pose.number, position, motor_inertia, pad, measures))
     return designs, failed
 
 
-def problems_of(conditions: DesignConditions, stance: RobotPose) -> Iterator[tuple[str, str, ImpactProblem]]:
+def problems_of(conditions: DesignConditions, robot_pose: RobotPose) -> Iterator[tuple[str, str, ImpactProblem]]:
     """Motor inertia, pad and impact problem of every design of one robot in one pose."""
-    facts = load_facts(stance.robot)
+    facts = load_facts(robot_pose.robot)
     template = Physics.nominal(conditions.scenario, conditions.object_name)
-    arm = next(iter(template.arms.values()))
+    template_arm = next(iter(template.arms.values()))
     for pad_name in conditions.pads:
         pad, effector = PADS[pad_name], replace(_effector(conditions, pad_name), mount_yaw=0.0)
-        drive = _drive(conditions, stance.robot, effector)
+        drive = _drive(conditions, robot_pose.robot, effector)
         rotor = np.array(drive["motor_inertia_rotor"])
         reduced = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
         model = RobotModel(facts, effector)
-        placement = model.placement(stance.position)
-        own = replace(
-            arm,
+        placement = model.placement(robot_pose.position)
+        arm_design = replace(
+            template_arm,
             facts=facts,
             base=model.base,
             end_effector=effector,
@@ -309,13 +309,13 @@ def problems_of(conditions: DesignConditions, stance: RobotPose) -> Iterator[tup
         )
         physics = replace(
             template,
-            arms={ARM_NAME: own},
+            arms={ARM_NAME: arm_design},
             support_height=None,
             pad_friction=pad.friction,
             restitution=pad.restitution,
         )
-        middle = placement.translation + NORMAL * (0.5 * float(np.abs(NORMAL) @ template.object.size))
-        state = ArmState(stance.position, _velocity(model, stance.position, conditions.speed))
+        object_centre = placement.translation + NORMAL * (0.5 * float(np.abs(NORMAL) @ template.object.size))
+        state = ArmState(robot_pose.position, _velocity(model, robot_pose.position, conditions.speed))
         for motor_inertia in conditions.motor_inertias:
             if motor_inertia == "reduced" and not facts.joint_torque_loop:
                 continue
@@ -325,8 +325,8 @@ def problems_of(conditions: DesignConditions, stance: RobotPose) -> Iterator[tup
                 ImpactProblem(
                     physics=physics,
                     arms={ARM_NAME: state},
-                    object=BodyState(middle, np.eye(3), np.zeros(6)),
-                    motor_inertia={ARM_NAME: own.motor_inertia(motor_inertia)},
+                    object=BodyState(object_centre, np.eye(3), np.zeros(6)),
+                    motor_inertia={ARM_NAME: arm_design.motor_inertia(motor_inertia)},
                     restitution=pad.restitution,
                 ),
             )
@@ -357,112 +357,116 @@ def values_by(engine_name: str, problem: ImpactProblem) -> dict[str, float]:
 
 
 def uncertainties_of(conditions: DesignConditions, robot: str, motor_inertia: str) -> Uncertainties:
-    """Uncertainties of a scenario; of an assumed motor inertia, none to three times the number.
+    """Uncertainties of a scenario; an assumed motor inertia is uncertain from zero to three times the number.
 
     Args:
         conditions: The common conditions.
         robot: Name of the robot, or path of its facts.
         motor_inertia: ``reduced`` or ``rotor``.
     """
-    stated, own = conditions.scenario.uncertainty, _in_scenario(conditions, robot)
-    assumed = assumed_numbers(load_facts(robot)) if own is None else own.assumed
+    stated, scenario_drive = conditions.scenario.uncertainty, _in_scenario(conditions, robot)
+    assumed = assumed_numbers(load_facts(robot)) if scenario_drive is None else scenario_drive.assumed
     if f"motor_inertia_{motor_inertia}" not in assumed:
         return stated
     return stated.model_copy(update={"motor_inertia": max(stated.motor_inertia, ASSUMED_MOTOR_INERTIA)})
 
 
-def _measured(problem: ImpactProblem, conditions: DesignConditions, uncertain: Uncertainties) -> dict[str, Estimate]:
+def _measured(
+    problem: ImpactProblem, conditions: DesignConditions, uncertainties: Uncertainties
+) -> dict[str, Estimate]:
     """The measures of a problem with their intervals."""
     models = problem.physics.robot_models()
     nominal = values_by(DEFAULT_ENGINE, problem)
-    sources, pads = sources_of(problem, uncertain), touching_pads(problem, models)
-    found = np.full((conditions.draws, len(nominal)), np.nan)
+    sources, pads = sources_of(problem, uncertainties), touching_pads(problem, models)
+    drawn_values = np.full((conditions.draws, len(nominal)), np.nan)
     for number in range(conditions.draws):
-        amounts: dict[str, float] = {}
-        # Each source by itself, so that designs with more joints have the same object.
+        changes: dict[str, float] = {}
+        # A random generator per source, so that designs with more joints draw the same object.
         for index, source in enumerate(sources):
             for name, amount in draw((source,), np.random.default_rng((conditions.seed, number, index))).items():
-                amounts[name] = amounts.get(name, 0.0) + amount
+                changes[name] = changes.get(name, 0.0) + amount
         try:
-            found[number] = list(_drawn(problem, models, pads, amounts).values())
+            drawn_values[number] = list(_drawn(problem, models, pads, changes).values())
         except ImpactMapError:
             continue
-    answered = found[~np.isnan(found[:, 0])]
-    if len(answered) < 2:
-        raise ImpactMapError(f"{len(answered)} of {conditions.draws} draws have an answer, expected two or more")
+    valid = drawn_values[~np.isnan(drawn_values[:, 0])]
+    if len(valid) < 2:
+        raise ImpactMapError(f"{len(valid)} of {conditions.draws} draws have an answer, expected two or more")
     return {
-        name: _estimate(value, own, tuple(column))
-        for (name, value), own, column in zip(nominal.items(), answered.T, found.T.tolist(), strict=True)
+        name: _estimate(value, valid_draws, tuple(column))
+        for (name, value), valid_draws, column in zip(nominal.items(), valid.T, drawn_values.T.tolist(), strict=True)
     }
 
 
-def _estimate(value: float, answered: Array, draws: tuple[float, ...]) -> Estimate:
-    """Student's t times the deviation of the draws about a value; of their logarithms where all are above 0."""
-    quantile = float(scipy.stats.t.ppf(0.5 + CONFIDENCE_LEVEL / 2.0, answered.size - 1))
-    if value > 0.0 and np.all(answered > 0.0):
-        factor = float(np.exp(quantile * np.std(np.log(answered), ddof=1)))
+def _estimate(value: float, valid_draws: Array, draws: tuple[float, ...]) -> Estimate:
+    """Interval by Student's t times the standard deviation of the draws, or of their logarithms if all are > 0."""
+    quantile = float(scipy.stats.t.ppf(0.5 + CONFIDENCE_LEVEL / 2.0, valid_draws.size - 1))
+    if value > 0.0 and np.all(valid_draws > 0.0):
+        factor = float(np.exp(quantile * np.std(np.log(valid_draws), ddof=1)))
         return Estimate(value, value / factor, value * factor, draws)
-    half = quantile * float(np.std(answered, ddof=1))
-    return Estimate(value, value - half, value + half, draws)
+    half_width = quantile * float(np.std(valid_draws, ddof=1))
+    return Estimate(value, value - half_width, value + half_width, draws)
 
 
 def _drawn(
-    problem: ImpactProblem, models: Mapping[str, RobotModel], pads: frozenset[str], amounts: dict[str, float]
+    problem: ImpactProblem, models: Mapping[str, RobotModel], pads: frozenset[str], changes: dict[str, float]
 ) -> dict[str, float]:
     """The measures with parameters changed."""
     motors = problem.motor_inertia[ARM_NAME]
     names = [f"{ARM_NAME}.motor_inertia.{joint + 1}" for joint in range(motors.size)]
 
     def solve(step: float) -> Array:
-        moved = {
-            name: amounts.get(name, 0.0) + step * (float(value) + amounts.get(name, 0.0))
+        scaled = {
+            name: changes.get(name, 0.0) + step * (float(value) + changes.get(name, 0.0))
             for name, value in zip(names, motors, strict=True)
         }
-        velocities, _ = answer_of(problem, models, {**amounts, **moved}, pads)
+        velocities, _ = answer_of(problem, models, {**changes, **scaled}, pads)
         return np.concatenate((velocities[: motors.size], velocities[-6:]))
 
     more, less = solve(MOTOR_INERTIA_STEP), solve(-MOTOR_INERTIA_STEP)
-    return _values(change(problem, amounts).problem, 0.5 * (more + less), more, less)
+    return _values(change(problem, changes).problem, 0.5 * (more + less), more, less)
 
 
-def _values(problem: ImpactProblem, answer: Array, more: Array, less: Array) -> dict[str, float]:
-    """The measures from velocities of joints and object, ``(n + 6,)``, with B, with more and with less."""
-    state, object_ = problem.arms[ARM_NAME], problem.physics.object
-    offset = problem.object.rotation @ object_.com_offset
+def _values(problem: ImpactProblem, nominal: Array, increased: Array, decreased: Array) -> dict[str, float]:
+    """The measures from velocities of joints and object, ``(n + 6,)``, with B, with increased and with decreased B."""
+    state, body = problem.arms[ARM_NAME], problem.physics.object
+    com_offset = problem.object.rotation @ body.com_offset
 
     def speed(velocities: Array) -> float:
-        return float(NORMAL @ (velocities[-6:-3] + np.cross(velocities[-3:], offset)))
+        return float(NORMAL @ (velocities[-6:-3] + np.cross(velocities[-3:], com_offset)))
 
     limits = np.array(problem.physics.arms[ARM_NAME].facts.limits.velocity_rad_s)
     return {
-        "impulse": object_.mass * speed(answer),
-        "joint_jump": float(np.max(np.abs(answer[:-6] - state.velocity) / limits)),
-        "sensitivity": (speed(more) - speed(less)) / (2.0 * MOTOR_INERTIA_STEP * speed(answer)),
+        "impulse": body.mass * speed(nominal),
+        "joint_jump": float(np.max(np.abs(nominal[:-6] - state.velocity) / limits)),
+        "sensitivity": (speed(increased) - speed(decreased)) / (2.0 * MOTOR_INERTIA_STEP * speed(nominal)),
     }
 
 
 def _in_scenario(conditions: DesignConditions, robot: str) -> DriveSettings | None:
-    """Drive of a robot that the scenario has; None: it has no such robot."""
-    return next((own.drive for own in conditions.scenario.robots.values() if own.facts == robot), None)
+    """Drive of a robot in the scenario; None if the scenario does not have the robot."""
+    return next(
+        (candidate.drive for candidate in conditions.scenario.robots.values() if candidate.facts == robot), None
+    )
 
 
 def _drive(conditions: DesignConditions, robot: str, effector: EndEffector) -> dict[str, list[float]]:
-    """The drive of a robot as in the scenario, as published, or scaled from another's."""
-    own = _in_scenario(conditions, robot)
-    if own is None:
+    """The drive of a robot: from the scenario, as published, or scaled from another robot."""
+    scenario_drive = _in_scenario(conditions, robot)
+    if scenario_drive is None:
         return _scaled_drive(robot, effector, conditions.scenario.timing.drive_period)
-    given = {
-        "motor_inertia_rotor": own.motor_inertia_rotor,
-        "motor_inertia_reduced": own.motor_inertia_reduced or own.motor_inertia_rotor,
-        "stiffness": own.stiffness,
-        "damping": own.damping,
+    parameters = {
+        "motor_inertia_rotor": scenario_drive.motor_inertia_rotor,
+        "motor_inertia_reduced": scenario_drive.motor_inertia_reduced or scenario_drive.motor_inertia_rotor,
+        "stiffness": scenario_drive.stiffness,
+        "damping": scenario_drive.damping,
     }
-    return {name: list(values) for name, values in given.items()}
+    return {name: list(values) for name, values in parameters.items()}
 
 
 @functools.lru_cache(maxsize=64)
 def _scaled_drive(robot: str, effector: EndEffector, period: float) -> dict[str, list[float]]:
-    """The drive of a robot as published, or scaled from another's."""
+    """The drive of a robot as published, or scaled from another robot."""
     return assumed_drive(load_facts(robot), effector, period)
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A campaign as one file for other tools: a row per trial (Parquet), or all measured signals (HDF5).
 
-Only the robot's own topics are exported; ``/truth`` stays in the bags. Column names end with their unit; datasets have
-it in their attribute ``units``.
+Only the robot's own topics are exported; ``/truth`` stays in the bags. Column names end with their unit; the
+attribute ``units`` of a dataset is its unit.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int,
         directory: Folder with bags of trials at any depth.
         path: File that ends with .parquet, .h5 or .hdf5; an existing one is replaced.
         map_tasks: Parallel map; not used for signals.
-        progress: Called with the number of bags read, and of all bags.
+        progress: Called with the number of bags read and the number of all bags.
 
     Raises:
         InputError: As :func:`check_target`, no readable trial in the folder, or a file that cannot be written.
@@ -177,7 +177,7 @@ def _place(directory: Path, bag: Path) -> str:
 
 
 def table_of(rows: list[dict[str, Any]]) -> Any:
-    """Rows as a :class:`pyarrow.Table` with the columns of all of them: arms differ from scenario to scenario."""
+    """Rows as a :class:`pyarrow.Table` with the union of their columns: arms differ from scenario to scenario."""
     import pyarrow
 
     columns = dict.fromkeys(name for row in rows for name in row)
@@ -185,7 +185,7 @@ def table_of(rows: list[dict[str, Any]]) -> Any:
 
 
 def _column(name: str, values: list[Any]) -> Any:
-    """A column of fixed type, also if all its values are missing."""
+    """A column whose type is fixed, even if all its values are missing."""
     import pyarrow
 
     kind = {
@@ -232,7 +232,7 @@ class _Target(io.FileIO):
 
     @contextmanager
     def failing_in_words(self) -> Iterator[None]:
-        """Raise the first write error at the end of the context, in place of the library's own."""
+        """Raise the first write error at the end of the context, instead of the error of the library."""
         try:
             yield
         except Exception:
@@ -242,12 +242,12 @@ class _Target(io.FileIO):
             raise self.error
 
     def write(self, data: Any) -> int:
-        """Write all of it, or keep the error."""
+        """Write all data, or keep the error."""
         size = memoryview(data).nbytes
-        left = memoryview(data).cast("B")
+        remaining = memoryview(data).cast("B")
         try:
-            while left and self.error is None:
-                left = left[super().write(left) :]
+            while remaining and self.error is None:
+                remaining = remaining[super().write(remaining) :]
         except OSError as error:
             self.error = error
         return size
@@ -276,7 +276,7 @@ def _hdf5_trial(group: Any, bag: TrialBag) -> None:
 
 
 def _signals(bag: TrialBag, arm: str) -> dict[str, tuple[Any, dict[str, str]]]:
-    """Columns of an arm and the unit of each, by the name of their group; each topic has its own clock."""
+    """Columns of an arm and their units, by name of the group; every topic has its own time stamps."""
     joints = bag.info.spec.scenario.robots[arm].robot_facts.units
     quantities = ("position", "velocity", "effort")
     units = {name: joined_units(getattr(joint, name) for joint in joints) for name in quantities}

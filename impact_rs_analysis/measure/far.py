@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gross errors: predictions far from the measurement.
 
-A missing effect changes a prediction by some percent. A much larger error usually means that another robot, object or
-speed was measured than predicted. The statistic is
+A missing effect changes a prediction by a few percent. A much larger error usually means that the prediction is for
+another robot, object or speed. The statistic is
 
     |v+_predicted - v+_measured| / |v-|
 
@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-# [-]; twice the largest of the paper for B_theta (0.10, parcel in grab), six times the median of all rows
+# [-]; twice the largest mismatch of the paper for B_theta (0.10, parcel in grab), six times the median of all rows
 FAR_MISMATCH = 0.2
 
 
@@ -25,7 +25,7 @@ class Jump:
 
     Attributes:
         label: Object and case in words.
-        ante: Ante-impact velocity v- [m/s]; NaN if not known, which never counts as far.
+        ante: Ante-impact velocity v- [m/s]; NaN if not known: never a gross error.
         predicted: Predicted post-impact velocity [m/s].
         measured: Measured post-impact velocity [m/s].
     """
@@ -42,19 +42,19 @@ class Jump:
 
 
 def far_jumps(jumps: Iterable[Jump]) -> list[Jump]:
-    """The jumps that are far, the farthest first."""
+    """Jumps with a gross error, the largest first."""
     return sorted((jump for jump in jumps if jump.mismatch > FAR_MISMATCH), key=lambda jump: -jump.mismatch)
 
 
 def far_words(jumps: Iterable[Jump]) -> str:
-    """Warning about far jumps in one line; empty without one."""
-    listed = list(jumps)
-    found = far_jumps(listed)
-    if not found:
+    """Warning about gross errors in one line; empty without gross errors."""
+    all_jumps = list(jumps)
+    gross = far_jumps(all_jumps)
+    if not gross:
         return ""
-    worst = found[0]
+    worst = gross[0]
     return (
-        f"{len(found)} of {len(listed)} predictions are far from the measurement, most for {worst.label}: "
+        f"{len(gross)} of {len(all_jumps)} predictions are far from the measurement, most for {worst.label}: "
         f"{worst.predicted:+.3f} m/s predicted, {worst.measured:+.3f} m/s measured, a difference of "
         f"{worst.mismatch:.0%} of the ante-impact speed (far: beyond {FAR_MISMATCH:.0%}). "
         "A missing effect is usually smaller: "

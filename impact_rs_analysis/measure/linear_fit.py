@@ -39,8 +39,8 @@ class LineFit:
         intercept: a [m/s].
         slope: b [-].
         estimate: Zero crossing -a/b: experimental estimate of the post-impact velocity [m/s].
-        interval: 95 % interval of the estimate, low then high [m/s]; None where the data bound it on neither side or
-            on one side only.
+        interval: 95 % interval of the estimate, low then high [m/s]; None if the data bound it on one side
+            only, or on neither.
         r_squared: Share of the variance that the line explains [-].
         scatter: Standard deviation of the residuals [m/s].
         count: Trials.
@@ -79,38 +79,38 @@ def fit_zero_crossing(velocity: Array, net: Array, confidence: float = CONFIDENC
             f"velocit{'y' if distinct == 1 else 'ies'}; a line with an interval needs at least 3 trials at 2 velocities"
         )
     mean = float(np.mean(velocity))
-    spread = float(np.sum(np.square(velocity - mean)))
-    slope = float((velocity - mean) @ net / spread)
-    level = float(np.mean(net))
-    intercept = level - slope * mean
+    sum_xx = float(np.sum(np.square(velocity - mean)))
+    slope = float((velocity - mean) @ net / sum_xx)
+    mean_net = float(np.mean(net))
+    intercept = mean_net - slope * mean
     residuals = net - intercept - slope * velocity
-    total = float(np.sum(np.square(net - level)))
-    squares = float(residuals @ residuals)
+    sum_yy = float(np.sum(np.square(net - mean_net)))
+    sum_of_squares = float(residuals @ residuals)
     # A slope within rounding errors would divide by zero.
-    if abs(slope) * math.sqrt(spread) <= 1e-12 * max(1.0, float(np.max(np.abs(net)))):
+    if abs(slope) * math.sqrt(sum_xx) <= 1e-12 * max(1.0, float(np.max(np.abs(net)))):
         raise FitError("the net feedback does not depend on the post-impact velocity: there is no zero crossing")
     estimate = -intercept / slope
-    scatter = math.sqrt(squares / (count - 2))
+    scatter = math.sqrt(sum_of_squares / (count - 2))
     quantile = float(scipy.special.stdtrit(count - 2, 0.5 + confidence / 2.0))
     return LineFit(
         intercept=intercept,
         slope=slope,
         estimate=estimate,
-        interval=_fieller(estimate, slope, mean, spread, quantile * scatter, count),
-        r_squared=1.0 - squares / total,
+        interval=_fieller(estimate, slope, mean, sum_xx, quantile * scatter, count),
+        r_squared=1.0 - sum_of_squares / sum_yy,
         scatter=scatter,
         count=count,
     )
 
 
 def _fieller(
-    estimate: float, slope: float, mean: float, spread: float, error: float, count: int
+    estimate: float, slope: float, mean: float, sum_xx: float, margin: float, count: int
 ) -> tuple[float, float] | None:
-    """Fieller's interval; ``error`` is t s [m/s]. None where the slope is not significant and the set is unbounded."""
-    leverage = error * error / (slope * slope * spread)
-    if leverage >= 1.0:
+    """Fieller's interval, ``margin`` is t s [m/s]; None if the slope is not significant: the interval is unbounded."""
+    g = margin * margin / (slope * slope * sum_xx)
+    if g >= 1.0:
         return None
-    offset = estimate - mean
-    centre = mean + offset / (1.0 - leverage)
-    half = error / abs(slope) / (1.0 - leverage) * math.sqrt((1.0 - leverage) / count + offset * offset / spread)
-    return centre - half, centre + half
+    distance = estimate - mean
+    centre = mean + distance / (1.0 - g)
+    half_width = margin / abs(slope) / (1.0 - g) * math.sqrt((1.0 - g) / count + distance * distance / sum_xx)
+    return centre - half_width, centre + half_width

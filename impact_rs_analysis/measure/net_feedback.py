@@ -3,9 +3,9 @@
 
     a_fb,net = integral of a_fb(t) dt from t1 to t2
 
-The controller holds its command between two ticks, so the recorded a_fb(t_k) acts from t_k to t_{k+1}; the integral of
-that held signal is a sum, without a quadrature error. Along the measured axis, averaged over the arms (paper
-sec. Dual-arm grabbing scenario).
+The controller holds its command between two ticks, so the recorded a_fb(t_k) acts from t_k to t_{k+1} (zero-order
+hold), and its integral is a sum, without a quadrature error. It is taken along the measured axis and averaged over the
+arms (paper sec. Dual-arm grabbing scenario).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from impact_rs_trials.bags.reader import BagError, ControllerColumns, TrialBag
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import recorded_scenario
 
-TORQUE_LIMIT_TOLERANCE = 1e-3  # relative; a torque this close to its limit counts as limited
+TORQUE_LIMIT_TOLERANCE = 1e-3  # relative distance from the torque limit, below which a torque is limited
 MIN_LIMITED_TIME_S = 0.005  # at a torque limit; shorter times change the feedback by less than its noise
 # Outcomes that are analysed; a bag of a real robot may have none, and trials without impact are not fitted.
 ANALYSED_OUTCOMES = ("OK", "NO-IMPACT", "EARLY")
@@ -46,10 +46,10 @@ class TrialFeedback:
         ante_reference: Velocity of the ante-impact reference, ``(k,)`` [m/s].
         post_reference: Velocity of the post-impact reference, ``(k,)`` [m/s].
         net: a_fb,net [m/s].
-        nets: The same of every arm by itself [m/s].
+        nets: a_fb,net of every arm [m/s].
         limited: Joints at their torque limit within the window, with the duration [s]; their feedback was not
             delivered, so the integral is not valid.
-        departures: How object and pads part after the hit.
+        departures: Separation of object and pads after the hit.
     """
 
     path: Path
@@ -73,7 +73,7 @@ class TrialFeedback:
 
     @property
     def impact(self) -> bool:
-        """Whether every arm hit within the window; a trial without impact never enters a fit."""
+        """Whether every arm hit within the window; a trial without impact does not enter a fit."""
         start, end = self.info.window_start, self.info.window_end
         return all(start <= moment <= end for moment in self.impact_times)
 
@@ -83,8 +83,8 @@ class TrialFeedback:
         return max(self.impact_times) - min(self.impact_times)
 
 
-def held_integral(time: Array, signal: Array, start: float, end: float) -> tuple[Array, float]:
-    """Integral of a signal that keeps its value until the next sample (paper eq. a_fb_net).
+def zero_order_hold_integral(time: Array, signal: Array, start: float, end: float) -> tuple[Array, float]:
+    """Integral of a signal under a zero-order hold: it keeps its value until the next sample (paper eq. a_fb_net).
 
     Args:
         time: Sample times, increasing, ``(k,)`` [s].
@@ -93,20 +93,20 @@ def held_integral(time: Array, signal: Array, start: float, end: float) -> tuple
         end: t2 [s].
 
     Returns:
-        The integral from ``start`` to every sample, held at 0 before and constant after ``end``, ``(k,)`` [m/s]; and
+        The integral from ``start`` to every sample, 0 before ``start`` and constant after ``end``, ``(k,)`` [m/s]; and
         the integral from ``start`` to ``end`` [m/s].
     """
     edges = np.clip(np.append(time, max(end, time[-1])), start, end)
-    pieces = signal * np.diff(edges)
-    total = np.cumsum(pieces)
-    return np.concatenate(([0.0], total[:-1])), float(total[-1])
+    increments = signal * np.diff(edges)
+    cumulative = np.cumsum(increments)
+    return np.concatenate(([0.0], cumulative[:-1])), float(cumulative[-1])
 
 
 def net_feedback(bag: TrialBag) -> TrialFeedback:
     """Net feedback of one trial; ``/truth`` is not read.
 
     Raises:
-        BagError: The trial went wrong, the bag is damaged, has holes, or does not cover the window from t1 to t2.
+        BagError: The trial failed, or the bag is damaged, has gaps, or does not cover the window from t1 to t2.
     """
     info = bag.info
     if bag.metadata.get("outcome", "OK") not in ANALYSED_OUTCOMES:
@@ -117,55 +117,55 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
     columns = {arm: bag.controller(arm) for arm in info.robots}
     time = next(iter(columns.values())).time
     signals: dict[str, list[Array]] = {name: [] for name in ("velocity", "feedback", "ante", "post")}
-    for arm, state in columns.items():
-        _check_coverage(bag, arm, state.time)
+    for arm, controller in columns.items():
+        _check_coverage(bag, arm, controller.time)
         for name, values in (
-            ("velocity", state.twist[:, axis]),
-            ("feedback", state.feedback_acceleration[:, axis]),
-            ("ante", state.ante_velocity[:, axis]),
-            ("post", state.post_velocity[:, axis]),
+            ("velocity", controller.twist[:, axis]),
+            ("feedback", controller.feedback_acceleration[:, axis]),
+            ("ante", controller.ante_velocity[:, axis]),
+            ("post", controller.post_velocity[:, axis]),
         ):
             if not np.all(np.isfinite(values)):
                 raise BagError(bag.path, f"arm {arm!r}: the recorded {name} signal is not finite everywhere")
-            signals[name].append(np.interp(time, state.time, values))
+            signals[name].append(np.interp(time, controller.time, values))
     nets = {
-        arm: held_integral(time, values, info.window_start, info.window_end)[1]
+        arm: zero_order_hold_integral(time, values, info.window_start, info.window_end)[1]
         for arm, values in zip(columns, signals["feedback"], strict=True)
     }
-    mean = {name: np.mean(values, axis=0) for name, values in signals.items()}
-    integral, net = held_integral(time, mean["feedback"], info.window_start, info.window_end)
+    mean_signals = {name: np.mean(values, axis=0) for name, values in signals.items()}
+    integral, net = zero_order_hold_integral(time, mean_signals["feedback"], info.window_start, info.window_end)
     return TrialFeedback(
         path=bag.path,
         info=info,
         impact_times=tuple(bag.impact_time(arm) for arm in info.robots),
         time=time,
-        velocity=mean["velocity"],
-        feedback=mean["feedback"],
+        velocity=mean_signals["velocity"],
+        feedback=mean_signals["feedback"],
         integral=integral,
-        ante_reference=mean["ante"],
-        post_reference=mean["post"],
+        ante_reference=mean_signals["ante"],
+        post_reference=mean_signals["post"],
         net=net,
         nets=nets,
-        limited=tuple(entry for arm, state in columns.items() for entry in _limited(bag, arm, state)),
+        limited=tuple(entry for arm, controller in columns.items() for entry in _limited(bag, arm, controller)),
         departures=departures(bag, columns),
     )
 
 
-def _limited(bag: TrialBag, arm: str, state: ControllerColumns) -> Iterator[tuple[str, float]]:
+def _limited(bag: TrialBag, arm: str, controller: ControllerColumns) -> Iterator[tuple[str, float]]:
     """Joints of an arm at their torque limit within the window, with the duration [s]."""
     info = bag.info
     limit = np.array(recorded_scenario(info.scenario_json, bag.path).robots[arm].robot_facts.limits.torque_Nm)
-    inside = (state.time >= info.window_start) & (state.time < info.window_end)
-    reached = np.abs(state.commanded_torque[inside]) >= (1.0 - TORQUE_LIMIT_TOLERANCE) * limit
-    time = reached.sum(axis=0) * float(np.median(np.diff(state.time)))
-    for joint in np.flatnonzero(time > MIN_LIMITED_TIME_S):
-        yield f"{arm} joint{joint + 1}", float(time[joint])
+    inside = (controller.time >= info.window_start) & (controller.time < info.window_end)
+    at_limit = np.abs(controller.commanded_torque[inside]) >= (1.0 - TORQUE_LIMIT_TOLERANCE) * limit
+    duration = at_limit.sum(axis=0) * float(np.median(np.diff(controller.time)))
+    for joint in np.flatnonzero(duration > MIN_LIMITED_TIME_S):
+        yield f"{arm} joint{joint + 1}", float(duration[joint])
 
 
 def _check_coverage(bag: TrialBag, arm: str, time: Array) -> None:
     start, end = bag.info.window_start, bag.info.window_end
     if not (math.isfinite(start) and math.isfinite(end) and start < end):
-        raise BagError(bag.path, f"its window from {start} s to {end} s is none")
+        raise BagError(bag.path, f"its window from {start} s to {end} s is empty or not finite")
     if time.size < 2:
         raise BagError(bag.path, f"arm {arm!r} has {time.size} controller states")
     steps = np.diff(time)

@@ -2,9 +2,9 @@
 """The published experiment: mismatch that a scale of the motor inertia can explain.
 
 Each of the 18 rows (``config/paper/tables.yaml``, paper tables II and III) has an experimental estimate v of the
-post-impact speed and the mismatch of three predictions, with B = 0, B_theta and B_rho = 3 B_theta. As a function of a
-scale s with B = s B_theta the predicted speed is therefore known at s = 0, 1 and 3. In between it is taken from the
-parabola through the three points. An effective mass along the normal that is linear in s would give the hyperbola
+post-impact speed and the mismatch of three predictions, with B = 0, B_theta and B_rho = 3 B_theta. The
+predicted speed is therefore known at three values of the scale s with B = s B_theta: 0, 1 and 3. A parabola through
+these points interpolates it. An effective mass along the normal that is linear in s would give the hyperbola
 p_0 + a s / (s + h) instead; the fit is repeated with it, to check the interpolation. In five rows of the
 grab the parabola has its peak below s = 3, which no rigid impact of one effective mass has.
 
@@ -45,7 +45,7 @@ class PaperResult:
 
     @property
     def label(self) -> str:
-        """For tables."""
+        """Scenario, object and case."""
         return f"{self.scenario} {self.object} {self.case}"
 
     @property
@@ -57,13 +57,13 @@ class PaperResult:
     def mismatch(self, scale: Array, curve: str = "parabola") -> Array:
         """Interpolated mismatch at scales of B_theta [%]."""
         zero, reduced, rotor = self.row.zero, self.row.reduced, self.row.rotor
-        first, last = reduced - zero, rotor - zero
+        change_reduced, change_rotor = reduced - zero, rotor - zero
         if curve == "parabola":
-            bend = (last / ROTOR_SCALE - first) / (ROTOR_SCALE - 1.0)
-            return np.asarray(zero + scale * (first + bend * (scale - 1.0)))
-        ratio = last / first
-        half = ROTOR_SCALE * (ratio - 1.0) / (ROTOR_SCALE - ratio)
-        return np.asarray(zero + first * (1.0 + half) * scale / (scale + half))
+            curvature = (change_rotor / ROTOR_SCALE - change_reduced) / (ROTOR_SCALE - 1.0)
+            return np.asarray(zero + scale * (change_reduced + curvature * (scale - 1.0)))
+        ratio = change_rotor / change_reduced
+        half_scale = ROTOR_SCALE * (ratio - 1.0) / (ROTOR_SCALE - ratio)
+        return np.asarray(zero + change_reduced * (1.0 + half_scale) * scale / (scale + half_scale))
 
 
 def paper_results() -> list[PaperResult]:
@@ -93,8 +93,8 @@ class ScaleFit:
         scale: s, B = s B_theta [-].
         interval: 95 % interval from resampling rows [-].
         error_nominal: Mean absolute mismatch at s = 1 [%].
-        error_fitted: The same at the fitted scale [%].
-        error_held_out: The same, each row predicted with the scale fitted to the other rows [%].
+        error_fitted: Mean absolute mismatch at the fitted scale [%].
+        error_held_out: Mean absolute mismatch of each row at the scale fitted to the other rows [%].
     """
 
     scale: float
@@ -110,16 +110,16 @@ class PaperStudy:
 
     Attributes:
         results: The rows.
-        all_rows: Fit to all.
+        all_rows: Fit to all rows.
         by_scenario: Fit to the rows of each scenario.
-        other_curve: Fit to all with hyperbolas in place of parabolas.
+        hyperbola_fit: Fit to all rows with hyperbolas in place of parabolas.
         nominal, fitted: Mismatch of each row at s = 1 and at the fitted scale, ``(18,)`` [%].
     """
 
     results: tuple[PaperResult, ...]
     all_rows: ScaleFit
     by_scenario: dict[str, ScaleFit]
-    other_curve: ScaleFit
+    hyperbola_fit: ScaleFit
     nominal: Array
     fitted: Array
 
@@ -141,11 +141,13 @@ class PaperStudy:
         fit = self.all_rows
         if self.verdict == "CONFIRMED":
             return f"one motor-inertia scale of {fit.scale:.2f} explains the published rows"
-        scales = ", ".join(f"{name} alone gives {one.scale:.2f}" for name, one in self.by_scenario.items())
+        scales = ", ".join(
+            f"{name} alone gives {scenario_fit.scale:.2f}" for name, scenario_fit in self.by_scenario.items()
+        )
         return (
             f"one motor-inertia scale does not explain the published rows: the best, {fit.scale:.2f}, lowers the mean "
             f"absolute mismatch from {fit.error_nominal:.2f} to {fit.error_fitted:.2f} % ({fit.error_held_out:.2f} % "
-            f"on rows it has not seen), {scales}, and {len(self.unexplained)} of {len(self.results)} rows fit no motor "
+            f"on held-out rows), {scales}, and {len(self.unexplained)} of {len(self.results)} rows fit no motor "
             "inertia between 0 and B_rho; another effect is missing"
         )
 
@@ -159,7 +161,7 @@ class PaperStudy:
             "interval_is": f"95 %, {BOOTSTRAP_RESAMPLES} resamples of the rows",
             "all": _fit_json(self.all_rows),
             **{name: _fit_json(fit) for name, fit in self.by_scenario.items()},
-            "all_with_hyperbolas": _fit_json(self.other_curve),
+            "all_with_hyperbolas": _fit_json(self.hyperbola_fit),
             "unexplained": self.unexplained,
             "rows": [
                 {
@@ -191,14 +193,14 @@ def fit_scale(results: list[PaperResult], curve: str = "parabola") -> ScaleFit:
     best = int(errors.mean(axis=0).argmin())
     held_out = []
     for index in range(len(results)):
-        others = np.delete(errors, index, axis=0).mean(axis=0).argmin()
-        held_out.append(errors[index, others])
+        best_of_others = np.delete(errors, index, axis=0).mean(axis=0).argmin()
+        held_out.append(errors[index, best_of_others])
     rng = np.random.default_rng(0)
-    drawn = [
+    resampled_scales = [
         SCALE_GRID[errors[rng.integers(0, len(results), len(results))].mean(axis=0).argmin()]
         for _ in range(BOOTSTRAP_RESAMPLES)
     ]
-    low, high = np.percentile(drawn, [2.5, 97.5])
+    low, high = np.percentile(resampled_scales, [2.5, 97.5])
     nominal = np.abs([result.row.reduced for result in results]).mean()
     return ScaleFit(
         scale=float(SCALE_GRID[best]),
@@ -218,7 +220,7 @@ def study_paper() -> PaperStudy:
         results=tuple(results),
         all_rows=fit,
         by_scenario={name: fit_scale([result for result in results if result.scenario == name]) for name in scenarios},
-        other_curve=fit_scale(results, "hyperbola"),
+        hyperbola_fit=fit_scale(results, "hyperbola"),
         nominal=np.array([result.row.reduced for result in results]),
         fitted=np.array([float(result.mismatch(np.array(fit.scale))) for result in results]),
     )

@@ -21,18 +21,12 @@ logger = logging.getLogger(__name__)
 CACHED_INTERVALS = 64  # the study has 18 sets
 INTERVAL_DRAWS = 100  # enough for the digits shown in a figure
 
-MODEL_LABELS = {
-    "reduced": "reduced motor inertia B_θ (nominal)",
-    "rotor": "rotor motor inertia B_ρ",
-    "zero": "no motor inertia, B = 0",
-}
-
 
 @functools.lru_cache(maxsize=CACHED_INTERVALS)
 def prediction_interval(scenario_json: str, object_name: str, case_name: str) -> tuple[float, float] | None:
     """95 % interval of the nominal prediction along the measured axis, first contact, mean over the arms [m/s].
 
-    From the uncertainties that the scenario states (:mod:`impact_rs_sim.impact_map.uncertainty`).
+    It follows from the uncertainties of the scenario (:mod:`impact_rs_sim.impact_map.uncertainty`).
 
     Args:
         scenario_json: The scenario, as in a bag.
@@ -40,7 +34,7 @@ def prediction_interval(scenario_json: str, object_name: str, case_name: str) ->
         case_name: Name of the case.
 
     Returns:
-        Low and high; None where the map gives no interval.
+        Low and high; None if the map gives no interval.
     """
     scenario = recorded_scenario(scenario_json, "")
     scene = Scene.resolve(scenario, object_name, case_name)
@@ -55,7 +49,7 @@ def prediction_interval(scenario_json: str, object_name: str, case_name: str) ->
 
 
 def predict(scenario: Scenario, object_name: str, case_name: str, contact: str = "first") -> dict[str, float]:
-    """As :func:`predict_arms`, mean over the arms, by motor-inertia model [m/s]."""
+    """Mean over the arms of :func:`predict_arms`, by motor-inertia model [m/s]."""
     by_arm = predict_arms(scenario, object_name, case_name, contact)
     return {model: float(np.mean(list(velocities.values()))) for model, velocities in by_arm.items()}
 

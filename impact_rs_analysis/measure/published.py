@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's result tables, and which row a set of trials (one scenario, object and case) repeats.
 
-A set is compared with the published numbers only if robot, object and ante-impact velocity equal the row's: a
-scenario with another arm or a heavier box may still be called ``push``.
+A set is compared with a published row only if robot, object and ante-impact velocity are equal: a scenario with another
+arm or a heavier box may still be called ``push``.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class PaperTables(RootModel[dict[str, dict[str, dict[str, PaperRow]]]]):
 
 
 def paper_row(scenario: str, object_name: str, case: str) -> PaperRow | None:
-    """The paper's row of these names; None if the paper has no such row."""
+    """Row of the paper by names; None if the paper has no such row."""
     path = config_directory() / "paper" / "tables.yaml"
     if not path.is_file():
         return None
@@ -45,7 +45,7 @@ def paper_row(scenario: str, object_name: str, case: str) -> PaperRow | None:
 
 
 def published(scenario: Scenario, object_name: str, case: str) -> PaperRow | None:
-    """The paper's row that a set repeats: with its robot, its object and its ante-impact velocity.
+    """Row of the paper with the robot, object and ante-impact velocity of a set; None if there is no such row.
 
     Args:
         scenario: The scenario as it was recorded.

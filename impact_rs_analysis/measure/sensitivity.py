@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Systematic uncertainty of an estimate: its change with settings on which it should not depend.
 
-With x0 the zero crossing of some trials of a campaign, and x0(k) the same with setting k at another value
-(:mod:`impact_rs_trials.varied_settings`, same seeds; the window is varied in the trials as they are),
+Let x0 be the zero crossing of some trials of a campaign, and x0(k) the zero crossing with setting k at another value
+(:mod:`impact_rs_trials.varied_settings`, same seeds; the window is varied in the analysis of the recorded trials):
 
     s_k = (x0(k) - x0) / x0,    band = [-sqrt(sum over k of min(s_k, 0)^2), +sqrt(sum over k of max(s_k, 0)^2)]
 
-with the lowest and the highest s_k of every setting. Settings are independent choices, so their shifts add in squares.
-The band is no confidence interval: it is the possible difference between two laboratories with different settings, for
+with the lowest and the highest s_k of every setting. Settings are independent choices, so their shifts are added in
+squares.
+The band is no confidence interval, but the possible difference between two laboratories with different settings, for
 the same robot and object.
 """
 
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.measure.linear_fit import FitError, fit_zero_crossing
-from impact_rs_analysis.measure.net_feedback import TrialFeedback, held_integral
+from impact_rs_analysis.measure.net_feedback import TrialFeedback, zero_order_hold_integral
 from impact_rs_trials.varied_settings import SETTINGS
 
 WINDOW_SETTING = "window"
@@ -41,7 +42,7 @@ class Shift:
         scenario: Name of the scenario.
         object: Name of the object.
         setting: Name of the setting.
-        factor: Its value over the campaign's [-].
+        factor: Its value over the value of the campaign [-].
         percent: Change of the estimate [%].
     """
 
@@ -69,11 +70,11 @@ class Sensitivity:
 
     def of(self, scenario: str, object_name: str) -> dict[str, dict[float, float]]:
         """s_k of an object, by setting and factor [%]."""
-        found: dict[str, dict[float, float]] = {}
+        by_setting: dict[str, dict[float, float]] = {}
         for shift in self.shifts:
             if (shift.scenario, shift.object) == (scenario, object_name):
-                found.setdefault(shift.setting, {})[shift.factor] = shift.percent
-        return found
+                by_setting.setdefault(shift.setting, {})[shift.factor] = shift.percent
+        return by_setting
 
     def band(self, scenario: str, object_name: str) -> tuple[float, float] | None:
         """Band about the estimates of an object, low then high [%]; None if no setting was varied."""
@@ -100,27 +101,27 @@ def sensitivity_of(
         trials: The campaign.
         varied: Trials with a setting at another value, by name of the setting and factor.
     """
-    base = {_key(trial): trial for trial in trials if trial.impact}
-    held: dict[Set, dict[Key, TrialFeedback]] = defaultdict(dict)
+    unvaried = {_key(trial): trial for trial in trials if trial.impact}
+    paired: dict[Set, dict[Key, TrialFeedback]] = defaultdict(dict)
     comparisons: list[tuple[Set, str, float, list[Point], list[Point]]] = []
     missing = []
-    for (setting, factor), others in varied.items():
+    for (setting, factor), varied_trials in varied.items():
         pairs: dict[Set, list[Key]] = defaultdict(list)
-        found = {_key(trial): trial for trial in others if trial.impact}
-        for key in base:
-            if key in found:
+        by_key = {_key(trial): trial for trial in varied_trials if trial.impact}
+        for key in unvaried:
+            if key in by_key:
                 pairs[key[:2]].append(key)
-                held[key[:2]][key] = base[key]
+                paired[key[:2]][key] = unvaried[key]
         if not pairs:
             missing.append((setting_words(setting, factor), "no trial with impact to compare with"))
-        for where, keys in pairs.items():
-            before, after = ([_point(side[key]) for key in keys] for side in (base, found))
-            comparisons.append((where, setting, factor, before, after))
-    for where, trials_of in held.items():
-        points = [_point(trial) for trial in trials_of.values()]
+        for object_key, keys in pairs.items():
+            before, after = ([_point(side[key]) for key in keys] for side in (unvaried, by_key))
+            comparisons.append((object_key, setting, factor, before, after))
+    for object_key, by_trial in paired.items():
+        points = [_point(trial) for trial in by_trial.values()]
         for factor in WINDOW_FACTORS:
-            stretched = [(_point(trial)[0], _net(trial, factor)) for trial in trials_of.values()]
-            comparisons.append((where, WINDOW_SETTING, factor, points, stretched))
+            shifted_window = [(_point(trial)[0], _net(trial, factor)) for trial in by_trial.values()]
+            comparisons.append((object_key, WINDOW_SETTING, factor, points, shifted_window))
     shifts = []
     for (scenario, object_name), setting, factor, before, after in comparisons:
         try:
@@ -153,4 +154,4 @@ def _net(trial: TrialFeedback, factor: float) -> float:
     """Net feedback in a window that ends earlier or later after the nominal impact [m/s]."""
     info = trial.info
     end = info.nominal_impact_time + factor * (info.window_end - info.nominal_impact_time)
-    return held_integral(trial.time, trial.feedback, info.window_start, min(end, info.duration))[1]
+    return zero_order_hold_integral(trial.time, trial.feedback, info.window_start, min(end, info.duration))[1]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The published study: both scenarios with every object, case, reference and repeat, in one folder.
 
-A study is a folder of campaigns, one per scenario; each is resumed and analysed as any campaign is.
+A study is a folder of campaigns, one per scenario; each is resumed and analysed like any campaign.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def analyze_study(
 
     Args:
         directory: Folder of the study.
-        progress: Called with the number of bags read, and of all bags of the present campaign.
+        progress: Called with the number of bags read and the number of all bags of the present campaign.
         map_tasks: Parallel map, for many trials.
 
     Raises:
@@ -48,7 +48,7 @@ def analyze_study(
     parts = {name: analyze_campaign(directory / name, progress, map_tasks) for name in SCENARIOS}
     joined = {
         field: tuple(entry for part in parts.values() for entry in getattr(part, field))
-        for field in ("sets", "incomplete", "skipped", "left", "arms")
+        for field in ("sets", "incomplete", "skipped", "departed", "arms")
     }
     return Analysis(
         **joined,

@@ -25,7 +25,7 @@ class Row:
         half_interval: Larger half of the 95 % interval [m/s]; None without an interval.
         systematic: Systematic band about the estimate, low then high [%]; None where no setting was varied.
         errors: Mismatch by motor-inertia model, first contact [%].
-        settled: The same, settled contact [%].
+        settled: Mismatch by motor-inertia model, settled contact [%].
         paper_estimate: The paper's estimate [m/s]; None if the paper has no such row.
         paper_errors: The paper's mismatch by model [%]; None if the paper has no such row.
         signed: Whether the mismatches have a sign; absolute errors have none.
@@ -99,8 +99,8 @@ def _row(entry: ExperimentSet, analysis: Analysis) -> Row:
 
 
 def _averages(rows: list[Row], prefix: str) -> list[Row]:
-    ours, settled = [row.errors for row in rows], [row.settled for row in rows]
-    theirs = [row.paper_errors for row in rows if row.paper_errors is not None]
+    errors, settled = [row.errors for row in rows], [row.settled for row in rows]
+    published = [row.paper_errors for row in rows if row.paper_errors is not None]
     words = (("average error", False), ("absolute error", True))
     return [
         Row(
@@ -108,10 +108,10 @@ def _averages(rows: list[Row], prefix: str) -> list[Row]:
             None,
             None,
             None,
-            _mean(ours, absolute),
+            _mean(errors, absolute),
             _mean(settled, absolute),
             None,
-            _mean(theirs, absolute) if theirs else None,
+            _mean(published, absolute) if published else None,
             not absolute,
         )
         for label, absolute in words

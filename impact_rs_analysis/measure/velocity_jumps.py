@@ -3,13 +3,13 @@
 
 Without reference spreading there is no zero crossing of the net feedback. Instead, the velocity of the end effector 20
 to 40 ms after the impact is compared with the impact map from the ante-impact state of every run. By then the
-controller has accelerated the arm; the prediction includes this by its recorded torque,
+controller has accelerated the arm; the prediction includes this acceleration by the recorded torque,
 
     (M + B + J_p^T m J_p) ddq = tau_d - h - J_p^T mu m g v / |v|      (paper eq. eom; the object goes with the pad)
 
-J_p has the horizontal rows of J and v is the pad's horizontal velocity: a pad inside the friction cone moves the object
-sideways as well, and slides vertically on its face. The equation is integrated from the impact on. Errors are
-(prediction - measurement) / measurement of every run; the interval is from repeats (Student's t).
+J_p has the horizontal rows of J, and v is the pad's horizontal velocity: a pad inside the friction cone moves the
+object sideways as well, and slides vertically on its face. The equation is integrated from the impact on (explicit
+Euler). Errors are (prediction - measurement) / measurement of every run; the interval is from repeats (Student's t).
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class MeasuredJump:
         condition: Condition.
         runs: Number of its runs.
         before: Mean speed before the impact [m/s].
-        after: Mean speed 20 to 40 ms after it, along the same direction [m/s].
+        after: Mean speed 20 to 40 ms after the impact, along the direction before it [m/s].
         interval: 95 % interval of ``after`` [m/s]; None for a single run.
-        predicted: Mean predicted speed at that time, by motor inertia [m/s].
+        predicted: Mean predicted speed in the same window, by motor inertia [m/s].
         errors: Mean of (predicted - measured) / measured, by motor inertia [%].
     """
 
@@ -66,7 +66,7 @@ class LaboratoryJumps:
     Attributes:
         jumps: By condition.
         errors: Mean absolute error of every motor inertia over the conditions [%].
-        remarks: Remarks on missing results.
+        remarks: Missing results, with the reason.
         contact: Contact of the predictions, ``first`` or ``settled``.
     """
 
@@ -124,19 +124,19 @@ def jumps_of(runs: Runs, contact: str = "first") -> LaboratoryJumps:
             "the jump is analysed for a single arm only; use compare or diagnose for several arms",
             file=runs.directory,
         )
-    found, remarks = [], list(runs.remarks)
+    jumps, remarks = [], list(runs.remarks)
     for condition, group in runs.conditions.items():
         if not group[0].hit:
             continue
         try:
-            found.append(_jump_of(condition, group, contact))
+            jumps.append(_jump_of(condition, group, contact))
         except (ImpactMapError, InputError) as error:
             remarks.append(f"impact map of {condition}: {error}")
-    if not found:
-        why = f": {remarks[-1]}" if remarks else ": no run has an impact"
-        raise InputError(f"no jump to analyse{why}", file=runs.directory)
-    errors = {name: float(np.mean([abs(jump.errors[name]) for jump in found])) for name in MOTOR_INERTIA_MODELS}
-    return LaboratoryJumps(tuple(found), errors, tuple(remarks), contact)
+    if not jumps:
+        reason = f": {remarks[-1]}" if remarks else ": no run has an impact"
+        raise InputError(f"no jump to analyse{reason}", file=runs.directory)
+    errors = {name: float(np.mean([abs(jump.errors[name]) for jump in jumps])) for name in MOTOR_INERTIA_MODELS}
+    return LaboratoryJumps(tuple(jumps), errors, tuple(remarks), contact)
 
 
 def _jump_of(condition: str, group: Sequence[MeasuredRun], contact: str) -> MeasuredJump:
@@ -164,9 +164,9 @@ def _speeds(run: MeasuredRun, ante: dict[str, Array]) -> tuple[float, float]:
     """Speed before and after the impact along the direction before it, mean over the arms [m/s]."""
     pairs = []
     values = {
-        (f.signal, f.index, f.bin): value
-        for f, value in zip(run.features, run.measured, strict=True)
-        if f.phase == "impact"
+        (feature.signal, feature.index, feature.bin): value
+        for feature, value in zip(run.features, run.measured, strict=True)
+        if feature.phase == "impact"
     }
     for name, direction in _directions(ante).items():
         # The feature is the change from the mean over the last milliseconds before the impact.
@@ -178,7 +178,7 @@ def _speeds(run: MeasuredRun, ante: dict[str, Array]) -> tuple[float, float]:
 
 
 def _ante_velocities(run: MeasuredRun) -> dict[str, Array]:
-    """Velocity of every end effector at the begin of the impact, ``(3,)`` [m/s]."""
+    """Velocity of every end effector at the beginning of the impact, ``(3,)`` [m/s]."""
     physics = run.setup.physics
     twists = pad_twists(physics, physics.robot_models(), ante_impact_state(run))
     return {name: twist[:3] for name, twist in twists.items()}
@@ -203,15 +203,16 @@ def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str, con
     return float(
         np.mean(
             [
-                result.end_effector_twist[name][:3] @ way + _velocity_change_after(run, name, way, motor_inertia)
-                for name, way in _directions(ante).items()
+                result.end_effector_twist[name][:3] @ direction
+                + _velocity_change_after(run, name, direction, motor_inertia)
+                for name, direction in _directions(ante).items()
             ]
         )
     )
 
 
-def _velocity_change_after(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
-    """Change of the speed along ``way`` by the recorded torque until 20 to 40 ms after the impact [m/s].
+def _velocity_change_after(run: MeasuredRun, name: str, direction: Array, motor_inertia: str) -> float:
+    """Change of the speed along ``direction`` by the recorded torque until 20 to 40 ms after the impact [m/s].
 
     The object moves with the pad in the plane of the support, with its full mass for every arm; a fixed one holds it.
     Without recorded commands the joint torque is used.
@@ -219,28 +220,32 @@ def _velocity_change_after(run: MeasuredRun, name: str, way: Array, motor_inerti
     setup = run.setup
     if setup.physics.object.fixed:
         return 0.0
-    physics, window, signals = setup.physics.arms[name], setup.windows[-1], run.windowed[-1]
-    model, arm, box = setup.physics.robot_model(name), signals.arms[name], setup.physics.object
-    driving = window.commanded(name) if setup.drive == "command" else arm.torque
-    inertia = physics.motor_inertia(motor_inertia)
-    drag = 0.0 if setup.physics.support_height is None else setup.physics.support_friction * box.mass * GRAVITY_M_S2
+    arm_physics, window, signals = setup.physics.arms[name], setup.windows[-1], run.windowed[-1]
+    model, arm, body = setup.physics.robot_model(name), signals.arms[name], setup.physics.object
+    torque = window.commanded(name) if setup.drive == "command" else arm.torque
+    motor_inertias = arm_physics.motor_inertia(motor_inertia)
+    drag = 0.0 if setup.physics.support_height is None else setup.physics.support_friction * body.mass * GRAVITY_M_S2
     start, (first, last) = run.impacts[name], JUMP_WINDOWS_S[SETTLED_WINDOW]
-    speed, mean, ticks = 0.0, 0.0, 0
+    speed, sum_of_speeds, ticks = 0.0, 0.0, 0
     for row in range(1, window.time.size):
-        since = float(window.time[row] - start)
-        if since > last:
+        elapsed = float(window.time[row] - start)
+        if elapsed > last:
             break
-        step = min(since, float(window.time[row] - window.time[row - 1]))
+        step = min(elapsed, float(window.time[row] - window.time[row - 1]))
         if step <= 0.0:
             continue
         q, dq = arm.position[row - 1], arm.velocity[row - 1]
         terms = model.terms(q, dq)
-        plane = terms.jacobian[:2]
-        moved = terms.mass_matrix + np.diag(inertia) + box.mass * plane.T @ plane
-        velocity = plane @ dq
-        opposed = plane.T @ velocity * drag / max(float(np.linalg.norm(velocity)), MIN_SLIDING_SPEED_M_S)
-        acceleration = np.linalg.solve(moved, driving[row - 1] - terms.bias - opposed)
-        speed += step * float(way @ terms.jacobian[:3] @ acceleration)
-        if since >= first:
-            mean, ticks = mean + speed, ticks + 1
-    return mean / max(ticks, 1)
+        horizontal_jacobian = terms.jacobian[:2]
+        inertia_matrix = (
+            terms.mass_matrix + np.diag(motor_inertias) + body.mass * horizontal_jacobian.T @ horizontal_jacobian
+        )
+        velocity = horizontal_jacobian @ dq
+        friction_torque = (
+            horizontal_jacobian.T @ velocity * drag / max(float(np.linalg.norm(velocity)), MIN_SLIDING_SPEED_M_S)
+        )
+        acceleration = np.linalg.solve(inertia_matrix, torque[row - 1] - terms.bias - friction_torque)
+        speed += step * float(direction @ terms.jacobian[:3] @ acceleration)
+        if elapsed >= first:
+            sum_of_speeds, ticks = sum_of_speeds + speed, ticks + 1
+    return sum_of_speeds / max(ticks, 1)

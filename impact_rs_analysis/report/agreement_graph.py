@@ -19,7 +19,7 @@ class AgreementNode:
     Attributes:
         name: Its name.
         y: Its height [px].
-        against: Joints and axes at which a relation does not hold, or a reading is a possible cause of that.
+        against: Joints and axes at which a relation fails, or at which a reading is a possible cause of a failure.
     """
 
     name: str
@@ -50,7 +50,7 @@ class AgreementGraph:
         document: The relations.
         readings: Nodes on the left.
         relations: Nodes on the right.
-        lines: Between them.
+        lines: Edges from readings to relations.
         height: Height of the graph [px].
         in_words: The graph as text.
     """
@@ -67,27 +67,27 @@ class AgreementGraph:
 
 
 def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
-    """The graph of some relations, each over all joints; None: there are no relations."""
+    """Graph of relations over all joints; None without relations."""
     if not document.relations:
         return None
-    names = list(dict.fromkeys(name for one in document.relations for name in one.readings))
+    names = list(dict.fromkeys(name for relation in document.relations for name in relation.readings))
     rows = max(len(names), len(document.names))
     at_reading = dict(zip(names, _heights(len(names), rows), strict=True))
     at_relation = dict(zip(document.names, _heights(len(document.names), rows), strict=True))
-    possible: dict[str, list[str]] = {}
-    for one in document.in_common:
-        for name in one.readings:
-            possible.setdefault(name, []).extend(one.place.split(", "))
+    possible_causes: dict[str, list[str]] = {}
+    for relation in document.in_common:
+        for name in relation.readings:
+            possible_causes.setdefault(name, []).extend(relation.place.split(", "))
     against = {name: document.against(name) for name in document.names}
     sentences = [
         f"{name} ({', '.join(document.readings_of(name))}): "
-        + (f"does not hold at {', '.join(places)}" if places else "holds")
-        for name, places in against.items()
+        + (f"does not hold at {', '.join(failing_joints)}" if failing_joints else "holds")
+        for name, failing_joints in against.items()
     ]
     return AgreementGraph(
         document=document,
         readings=tuple(
-            AgreementNode(name, y, joints_in_words(possible.get(name, []))) for name, y in at_reading.items()
+            AgreementNode(name, y, joints_in_words(possible_causes.get(name, []))) for name, y in at_reading.items()
         ),
         relations=tuple(AgreementNode(name, y, joints_in_words(against[name])) for name, y in at_relation.items()),
         lines=tuple(
@@ -101,6 +101,6 @@ def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
 
 
 def _heights(count: int, rows: int) -> list[float]:
-    """Heights of some nodes, evenly over the height of the graph [px]."""
+    """Heights of nodes, evenly distributed over the graph [px]."""
     step = NODE_SPACING_PX * (rows - 1) / max(count - 1, 1)
     return [TOP_MARGIN_PX + (number * step if count > 1 else 0.5 * step) for number in range(count)]

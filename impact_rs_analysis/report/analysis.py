@@ -26,7 +26,7 @@ from impact_rs_sim.files import whole_folder
 from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of
 
 logger = logging.getLogger(__name__)
-MAX_PAGE_POINTS = 2400  # of all curves over time in a page, which must stay below 3 MB
+MAX_PAGE_POINTS = 2400  # total of all curves over time; keeps the page below 3 MB
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class TableRow:
 
     Attributes:
         row: Its numbers.
-        best: Motor-inertia model with the smallest error by contact that is shown.
-        fits: Whether that prediction agrees with the estimate, by contact that is shown.
+        best: Motor-inertia model with the smallest error, by contact.
+        fits: Whether its prediction agrees with the estimate, by contact.
     """
 
     row: Row
@@ -46,7 +46,7 @@ class TableRow:
 
 @dataclass(frozen=True)
 class SensitivityRow:
-    """How far the estimates of one object move with the settings.
+    """Sensitivity of the estimates of one object to settings.
 
     Attributes:
         label: Scenario and object.
@@ -97,10 +97,10 @@ class AnalysisPage:
         arms: Arms of the trials.
         by_arm: Table of results of every arm, by its title; empty with a single arm.
         with_paper: Whether a row has published numbers.
-        contacts: Contacts whose errors are shown: the first alone where the settled has the same.
-        none_fit: Whether there is a row whose nearest prediction does not agree with the estimate.
+        contacts: Contacts whose errors are shown; the first alone if both have the same errors.
+        none_fit: Whether the nearest prediction of some row disagrees with the estimate.
         sensitivity: Sensitivity of the estimates to settings; empty if none was varied.
-        far: Warning about predictions far from the measurement; empty without one.
+        far: Warning about predictions far from the measurement; empty without such predictions.
         left_out: Sets and trials with remarks.
         sets: Sets with an estimate.
         contact: Contact whose predictions the figures show.
@@ -125,7 +125,7 @@ class AnalysisPage:
 
     @property
     def assumptions(self) -> list[str]:
-        """Assumptions about the arms, as one sentence; empty: without any."""
+        """Assumptions about the arms, as one sentence; empty without assumptions."""
         return assumptions(self.arms)
 
     @property
@@ -145,7 +145,7 @@ def write_analysis_report(
     Args:
         analysis: The analysis.
         directory: Output folder; made if missing.
-        progress: Called with the number of files written, and of all files.
+        progress: Called with the number of files written and the number of all files.
         contact: Contact whose predictions the figures show, ``first`` or ``settled``; the table has both.
 
     Returns:
@@ -158,26 +158,26 @@ def write_analysis_report(
         (entry, figures_of(entry, contact, analysis.sensitivity.band(entry.scenario, entry.object)))
         for entry in analysis.sets
     ]
-    drawn = [figure for _, own in figures for figure in own]
+    all_figures = [figure for _, set_figures in figures for figure in set_figures]
     data = json.dumps(analysis.to_json(), indent=2, allow_nan=False) + "\n"
     page = _page(analysis, figures, contact)
     text = render("analysis.html.j2", page, replay=page.replay is not None)
     with whole_folder(directory) as aside:
         written = write_files(aside, {ANALYSIS_PAGE: text, "analysis.json": data})
-        for count in range(len(drawn) + 1):
+        for count in range(len(all_figures) + 1):
             if progress is not None:
-                progress(len(written), 2 + len(drawn))
-            if count < len(drawn):
-                written.append(write_png(drawn[count], aside / f"{drawn[count].name}.png"))
+                progress(len(written), 2 + len(all_figures))
+            if count < len(all_figures):
+                written.append(write_png(all_figures[count], aside / f"{all_figures[count].name}.png"))
     return [directory / file.name for file in written]
 
 
 def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]], contact: str) -> AnalysisPage:
     rows = result_table(analysis)
     contacts = shown_contacts(rows)
-    found = {number: _animation(entry) for number, entry in enumerate(analysis.sets)}
-    animations = {number: animation for number, animation in found.items() if animation is not None}
-    runs = {number: run for run, number in enumerate(animations)}
+    tracks = {number: _animation(entry) for number, entry in enumerate(analysis.sets)}
+    shown_tracks = {number: track for number, track in tracks.items() if track is not None}
+    run_numbers = {number: run for run, number in enumerate(shown_tracks)}
     points = min(MAX_CURVE_POINTS, MAX_PAGE_POINTS // max(len(analysis.sets), 1))
     return AnalysisPage(
         title="Predicted and measured velocity jumps",
@@ -197,30 +197,30 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
                 entry,
                 tuple(
                     Plot(
-                        f.name,
-                        curves_plot(f, points),
-                        f.caption,
+                        figure.name,
+                        curves_plot(figure, points),
+                        figure.caption,
                         zoom=True,
-                        run=runs.get(number) if f.over_time else None,
+                        run=run_numbers.get(number) if figure.over_time else None,
                     )
-                    for f in drawn
+                    for figure in set_figures
                 ),
             )
-            for number, (entry, drawn) in enumerate(figures)
+            for number, (entry, set_figures) in enumerate(figures)
         ),
         contact=contact,
-        replay=ReplayPart.of(list(animations.values())),
+        replay=ReplayPart.of(list(shown_tracks.values())),
     )
 
 
 def _table_rows(rows: Sequence[Row], contacts: Sequence[str]) -> tuple[TableRow, ...]:
     """Rows with their shading; rows of averages are shaded if the nearest prediction of some set fits."""
-    some = {contact: any(row.fits(contact) for row in rows if row.estimate is not None) for contact in contacts}
+    any_fits = {contact: any(row.fits(contact) for row in rows if row.estimate is not None) for contact in contacts}
     return tuple(
         TableRow(
             row,
             {contact: row.nearest(contact) for contact in contacts},
-            {contact: row.fits(contact) if row.estimate is not None else some[contact] for contact in contacts},
+            {contact: row.fits(contact) if row.estimate is not None else any_fits[contact] for contact in contacts},
         )
         for row in rows
     )
@@ -239,34 +239,37 @@ def _animation(entry: ExperimentSet) -> Track | None:
 def arm_rows(analysis: Analysis) -> dict[str, list[tuple[str, ArmSet]]]:
     """Sets with their labels, by title of the arm; empty if every set has one arm."""
     titles = {arm.name: arm.title for arm in analysis.arms}
-    found: dict[str, list[tuple[str, ArmSet]]] = {}
+    rows: dict[str, list[tuple[str, ArmSet]]] = {}
     for entry in analysis.sets:
         for arm in entry.arms:
-            found.setdefault(titles.get(arm.name, arm.name), []).append((entry.label, arm))
-    return found
+            rows.setdefault(titles.get(arm.name, arm.name), []).append((entry.label, arm))
+    return rows
 
 
 def sensitivity_rows(analysis: Analysis) -> Iterator[SensitivityRow]:
     """One row per object with estimates under varied settings."""
-    found = analysis.sensitivity
-    for scenario, name in dict.fromkeys((shift.scenario, shift.object) for shift in found.shifts):
+    sensitivity = analysis.sensitivity
+    for scenario, name in dict.fromkeys((shift.scenario, shift.object) for shift in sensitivity.shifts):
         shifts = {
             setting_words(setting, factor): percent
-            for setting, values in found.of(scenario, name).items()
+            for setting, values in sensitivity.of(scenario, name).items()
             for factor, percent in sorted(values.items())
         }
-        band = found.band(scenario, name)
+        band = sensitivity.band(scenario, name)
         assert band is not None
         yield SensitivityRow(f"{scenario}: {name}", shifts, band)
 
 
 def _left_out(analysis: Analysis) -> list[Listing]:
     return [
-        Listing("Sets without an estimate", tuple((f"{s.object} {s.case}", s.reason) for s in analysis.incomplete)),
+        Listing(
+            "Sets without an estimate",
+            tuple((f"{entry.object} {entry.case}", entry.reason) for entry in analysis.incomplete),
+        ),
         Listing("Trials without impact, not in the fit", tuple((name, "") for name in analysis.no_impact)),
         Listing(
             "Sets whose object does not stay at the pad",
-            tuple((f"{left.object} {left.case}", left.words) for left in analysis.left),
+            tuple((f"{departure.object} {departure.case}", departure.words) for departure in analysis.departed),
         ),
         Listing(
             "Trials in which one arm hit long before another",
@@ -277,6 +280,6 @@ def _left_out(analysis: Analysis) -> list[Listing]:
             tuple((name, f"{joint}, {1e3 * time:.0f}\N{NO-BREAK SPACE}ms") for name, joint, time in analysis.limited),
         ),
         Listing("Settings whose effect could not be evaluated", analysis.sensitivity.missing),
-        Listing("Bags skipped", tuple((s.name, s.reason) for s in analysis.skipped)),
+        Listing("Bags skipped", tuple((entry.name, entry.reason) for entry in analysis.skipped)),
         Listing("Trials of the manifest that are missing", tuple((name, "") for name in analysis.missing)),
     ]

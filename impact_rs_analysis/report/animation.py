@@ -15,7 +15,7 @@ from impact_rs_analysis.report.page import packed
 from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_sim.robots.robot import Array
 
-SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, shown in slow motion
+SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s before and after the impact, shown in slow motion
 MIN_FRAME_PERIODS_S = (0.001, 0.01)  # near the impact and elsewhere; the page interpolates
 MAX_ROWS_PER_RUN = 1500  # away from the impact; a recording may last for minutes
 MAX_RUNS_OF_ALL_ROWS = 8  # with more runs the rows per run decrease in proportion
@@ -27,7 +27,7 @@ class ReplayPart:
 
     Attributes:
         data: Data of the page's script (:func:`animation_data`).
-        choose: Whether to show a selection of the run; else the page has its own, in the same order.
+        choose: Whether to show a selection of the run; otherwise the page has a selection in the same order.
     """
 
     data: dict[str, Any]
@@ -48,12 +48,12 @@ def animation_data(tracks: Sequence[Track]) -> dict[str, Any]:
     """Argument ``data`` of ``new ImpactReplay(element, data)``.
 
     Returns:
-        ``scenes`` (:mod:`impact_rs_analysis.report.scene_3d`), and by run its label, number of its scene, begin of the
-        impact and of the slow part [s], times [s] with the rows in which stretches begin, and its sides ``measured``
+        ``scenes`` (:mod:`impact_rs_analysis.report.scene_3d`), and by run its label, number of its scene, beginning
+        of the impact, interval of slow motion [s], times [s], first rows of its stretches, and its sides ``measured``
         and ``model``: joint positions of all arms side by side [rad], contact forces [N], poses
         of the object and of its neighbours [m, -], and velocities before and after the impact [m/s].
     """
-    coarser = max(1.0, len(tracks) / MAX_RUNS_OF_ALL_ROWS)
+    stride_factor = max(1.0, len(tracks) / MAX_RUNS_OF_ALL_ROWS)
     scenes: list[dict[str, Any]] = []
     runs = []
     for track in tracks:
@@ -62,7 +62,11 @@ def animation_data(tracks: Sequence[Track]) -> dict[str, Any]:
         if scene not in scenes:
             scenes.append(scene)
         runs.append(
-            _run_data(track, scenes.index(scene), (coarser * MIN_FRAME_PERIODS_S[0], coarser * MIN_FRAME_PERIODS_S[1]))
+            _run_data(
+                track,
+                scenes.index(scene),
+                (stride_factor * MIN_FRAME_PERIODS_S[0], stride_factor * MIN_FRAME_PERIODS_S[1]),
+            )
         )
     return {"scenes": scenes, "runs": runs}
 
@@ -95,17 +99,17 @@ def shown_rows(track: Track, fine: float, coarse: float) -> NDArray[np.int64]:
     """
     time = track.time
     edges = (*track.starts, time.size)
-    kept = np.zeros(time.size, dtype=bool)
-    kept[[*track.starts, *(edge - 1 for edge in edges[1:])]] = True
-    kept |= _first_of_each(time, coarse)
+    mask = np.zeros(time.size, dtype=bool)
+    mask[[*track.starts, *(edge - 1 for edge in edges[1:])]] = True
+    mask |= _first_of_each(time, coarse)
     if track.impact is not None:
         slow = (time >= track.impact - SLOW_BEFORE) & (time <= track.impact + SLOW_AFTER)
-        kept |= slow & _first_of_each(time, fine)
-    return np.flatnonzero(kept)
+        mask |= slow & _first_of_each(time, fine)
+    return np.flatnonzero(mask)
 
 
 def _first_of_each(time: Array, period: float) -> NDArray[np.bool_]:
-    """The first sample of every period."""
+    """Mask of the first sample of every period."""
     steps = np.floor((time - time[0]) / period + 1e-3)
     return np.concatenate(([True], steps[1:] > steps[:-1]))
 
@@ -121,7 +125,7 @@ def _side(side: TrackSide, shown: NDArray[np.int64]) -> dict[str, Any]:
         "joints": packed(np.column_stack([arm.position for arm in side.arms.values()])[shown]),
         "forces": packed(np.column_stack(forces)[shown]) if all(force.size for force in forces) else None,
         "object": _poses(side.object, shown),
-        **({"neighbours": [_poses(own, shown) for own in side.neighbours.values()]} if side.neighbours else {}),
+        **({"neighbours": [_poses(poses, shown) for poses in side.neighbours.values()]} if side.neighbours else {}),
         "jumps": [
             {
                 "arm": None if jump.body == OBJECT else list(side.arms).index(jump.body),

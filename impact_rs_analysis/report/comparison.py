@@ -39,10 +39,10 @@ from impact_rs_analysis.report.page import (
     write_files,
 )
 from impact_rs_analysis.report.page_names import COMPARISON_DATA, COMPARISON_PAGE
-from impact_rs_analysis.report.plots import rollouts_plot, scatter_plot, signals_plot, tracks_plot, where_plots
+from impact_rs_analysis.report.plots import residual_maps, rollouts_plot, scatter_plot, signals_plot, tracks_plot
 
 MIN_NAMED_SCORE = 1.3  # in multiples of noise; below this score no label is named
-MAX_LISTED_PLACES = 8  # rows of the table of worst residuals
+MAX_LISTED_RESIDUALS = 8  # rows of the table of the largest residuals
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,16 @@ class LevelPart:
 
     Attributes:
         title: Its heading.
-        what: Compared quantities.
+        quantities: Compared quantities.
         times_noise: Size of the difference in multiples of repeatability [-].
         jumps: Rows of predicted and measured jumps.
         signals: Rows of signals over time.
         plot: Bars of signals listed joint by joint.
-        open: Whether it is shown at once.
+        open: Whether the section is open at first.
     """
 
     title: str
-    what: str
+    quantities: str
     times_noise: float
     jumps: tuple[ResidualRow, ...]
     signals: tuple[ResidualRow, ...]
@@ -92,7 +92,7 @@ class JointTable:
     Attributes:
         title: The arm.
         signals: Headings of the columns.
-        rows: By joint, a cell per column; None: not measured.
+        rows: A cell per column, by joint; None: not measured.
         small: Signals below their relevance limit in every joint, with the largest difference; they have no column.
     """
 
@@ -103,18 +103,18 @@ class JointTable:
 
 
 @dataclass(frozen=True)
-class WherePart:
-    """Where a model fails.
+class ResidualsPart:
+    """Residuals by signal, joint and condition.
 
     Attributes:
         plots: Heat maps.
-        yardstick: Residuals are multiples of this.
-        places: The worst places.
+        yardstick: Unit of the residuals, in words.
+        largest: The largest residuals.
     """
 
     plots: tuple[Plot, ...]
     yardstick: str
-    places: tuple[ResidualRow, ...]
+    largest: tuple[ResidualRow, ...]
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class TracksPart:
     Attributes:
         sets: Tracks as the script of the page reads them; empty: nothing is shown.
         plot: The empty figure that the script fills.
-        of_trials: Whether the tracks show trials; else recordings.
+        of_trials: Whether the tracks show trials; otherwise recordings.
         scatter: Measured against predicted numbers of an impact table, which has no time; None: tracks.
         replay: The same runs in 3D; None if positions are not known.
     """
@@ -143,17 +143,17 @@ class ComparisonPage:
     Attributes:
         title: Heading.
         headline: Summary in two sentences.
-        yardstick: Differences are given in multiples of this.
+        yardstick: Unit of the differences, in words.
         unit: Unit of the score; empty: multiples of the yardstick.
         document: The comparison.
         levels: Its levels.
         joints: A table per arm; empty: no trials.
-        where: Where the model fails.
+        residuals: Residuals by signal, joint and condition.
         tracks: Measured against predicted over time.
         history: Errors of the model and its parents; None without a parent.
-        others: Titles of pages of the same measurements, by their relative paths.
+        links: Titles of pages of the same measurements, by their relative paths.
         agreement: Which readings agree; None: no relation between them was measured.
-        rollouts_plot: Error of the tool in rollouts over time; None: there were none, or the tool does not move.
+        rollouts_plot: Error of the tool in rollouts over time; None: no rollouts, or a tool that does not move.
     """
 
     title: str
@@ -163,10 +163,10 @@ class ComparisonPage:
     document: ComparisonDocument
     levels: tuple[LevelPart, ...]
     joints: tuple[JointTable, ...]
-    where: WherePart
+    residuals: ResidualsPart
     tracks: TracksPart
     history: HistoryPart | None
-    others: Mapping[str, str]
+    links: Mapping[str, str]
     agreement: AgreementGraph | None
     rollouts_plot: Plot | None
 
@@ -176,7 +176,7 @@ def write_comparison(
     tracks: Sequence[Track],
     versions: Sequence[VersionError] | None,
     directory: Path,
-    others: Mapping[str, str] = MappingProxyType({}),
+    links: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
     """Write ``compare.html`` and ``compare.json``.
 
@@ -185,7 +185,7 @@ def write_comparison(
         tracks: Measured and predicted signals over time.
         versions: Errors of the model and its parents; None without a parent.
         directory: Folder of the report.
-        others: Titles of pages of the same measurements to link, by their relative paths.
+        links: Titles of pages of the same measurements to link, by their relative paths.
 
     Returns:
         The page.
@@ -201,10 +201,10 @@ def write_comparison(
         document=document,
         levels=level_parts(document),
         joints=joint_tables(document),
-        where=where_part(document),
+        residuals=residuals_part(document),
         tracks=tracks_part(document, tracks),
         history=history_part(versions) if versions else None,
-        others=others,
+        links=links,
         agreement=agreement_graph(document.agreement),
         rollouts_plot=_rollouts_plot(document.rollouts),
     )
@@ -215,7 +215,7 @@ def write_comparison(
 
 
 def _rollouts_plot(rollouts: RolloutDocument | None) -> Plot | None:
-    """Error of the tool over time; None without rollouts, or of a tool that does not move."""
+    """Error of the tool over time; None without rollouts, or if the tool does not move."""
     if rollouts is None or not any(rollouts.tool_mm):
         return None
     return Plot("rollouts", rollouts_plot(rollouts))
@@ -246,7 +246,7 @@ def comparison_in_words(document: ComparisonDocument) -> str:
 
 
 def on_scale(document: ComparisonDocument) -> bool:
-    """Whether the score is a multiple of the yardstick; else it has a unit."""
+    """Whether the score is a multiple of the yardstick; otherwise it has a unit."""
     return document.source == "trials" or document.score_unit == TIMES
 
 
@@ -260,13 +260,13 @@ def yardstick_of(document: ComparisonDocument) -> str:
 
 
 def yardstick_of_residuals(document: ComparisonDocument) -> str:
-    """Reference of residuals by place: the larger of :func:`yardstick_of` and relevance limit, where one is set."""
+    """Reference of single residuals: the larger of :func:`yardstick_of` and relevance limit, if one is set."""
     yardstick = yardstick_of(document)
     limited = yardstick != RELEVANCE_LIMIT and any(cell.floor for cell in document.where)
     return f"the larger of {yardstick} and relevance limit" if limited else yardstick
 
 
-def yardstick_of_rest(document: DiagnosisDocument) -> str:
+def yardstick_of_unexplained(document: DiagnosisDocument) -> str:
     """Reference of the residuals that a diagnosis leaves unexplained."""
     if document.source == "trials":
         return REPEATABILITY if document.design.freedom else RELEVANCE_LIMIT
@@ -281,45 +281,47 @@ def _location(cell: Cell, scenario: bool = False) -> str:
 
 def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
     """The levels with content; the last one is open."""
-    found = []
-    several = len({entry.scenario for level in document.levels.values() for entry in level.entries}) > 1
-    filled = {name: level for name, level in document.levels.items() if level.signals or level.entries}
-    for name, level in filled.items():
+    parts = []
+    several_scenarios = len({entry.scenario for level in document.levels.values() for entry in level.entries}) > 1
+    levels = {name: level for name, level in document.levels.items() if level.signals or level.entries}
+    for name, level in levels.items():
         by_joint = level.signals if level.signals and all(row.index for row in level.signals) else ()
-        found.append(
+        parts.append(
             LevelPart(
                 title=LEVELS.get(name, name),
-                what=level.what,
+                quantities=level.what,
                 times_noise=level.times_noise,
                 jumps=tuple(
-                    ResidualRow(f"{location_text(row, scenario=several)}: {row.signal} {row.index}", row)
+                    ResidualRow(f"{location_text(row, scenario=several_scenarios)}: {row.signal} {row.index}", row)
                     for row in level.entries
                 ),
                 signals=tuple(ResidualRow(f"{signal_text(row)} {row.index}".rstrip(), row) for row in level.signals),
                 plot=Plot(f"level-{name}", signals_plot(by_joint)) if by_joint else None,
-                open=name == list(filled)[-1],
+                open=name == list(levels)[-1],
             )
         )
-    return tuple(found)
+    return tuple(parts)
 
 
 def joint_tables(document: ComparisonDocument) -> tuple[JointTable, ...]:
     """Signals joint by joint, a table per arm."""
     titles = {arm.name: arm.title for arm in document.arms}
-    found = []
+    tables = []
     for arm in dict.fromkeys(row.arm for row in document.joints):
-        own = {(row.index, row.phase, row.signal): row for row in document.joints if row.arm == arm}
-        joints = sorted({index for index, *_ in own}, key=lambda index: int(index.removeprefix("joint")))
+        rows_of_arm = {(row.index, row.phase, row.signal): row for row in document.joints if row.arm == arm}
+        joints = sorted({index for index, *_ in rows_of_arm}, key=lambda index: int(index.removeprefix("joint")))
         columns: dict[tuple[str, str], list[SignalLevel]] = {}
-        for (_, *signal), row in own.items():
+        for (_, *signal), row in rows_of_arm.items():
             columns.setdefault((signal[0], signal[1]), []).append(row)
         largest = {signal: max(rows, key=lambda row: row.error) for signal, rows in columns.items()}
         signals = [signal for signal, row in largest.items() if row.error >= row.floor]
-        found.append(
+        tables.append(
             JointTable(
                 title=titles.get(arm, "") if arm else ", ".join(titles.values()),
                 signals=tuple(f"{phase_text(phase)}: {signal}" for phase, signal in signals),
-                rows={joint: [own.get((joint, *signal)) for signal in signals] for joint in joints} if signals else {},
+                rows={joint: [rows_of_arm.get((joint, *signal)) for signal in signals] for joint in joints}
+                if signals
+                else {},
                 small=tuple(
                     f"{phase_text(phase)}: {signal} ({quantity_text(row.error, row.unit)})"
                     for (phase, signal), row in largest.items()
@@ -327,29 +329,29 @@ def joint_tables(document: ComparisonDocument) -> tuple[JointTable, ...]:
                 ),
             )
         )
-    return tuple(found)
+    return tuple(tables)
 
 
-def where_part(document: ComparisonDocument) -> WherePart:
-    """Heat maps, and the worst places as numbers."""
+def residuals_part(document: ComparisonDocument) -> ResidualsPart:
+    """Heat maps, and the largest residuals as numbers."""
     of_recordings = not on_scale(document)
     several = len({cell.scenario for cell in document.where}) > 1
     yardstick = yardstick_of_residuals(document)
-    return WherePart(
+    return ResidualsPart(
         plots=tuple(
             Plot(f"where-{number}", drawn, title=title)
-            for number, (title, drawn) in enumerate(where_plots(document.where, of_recordings, yardstick))
+            for number, (title, drawn) in enumerate(residual_maps(document.where, of_recordings, yardstick))
         ),
         yardstick=yardstick,
-        places=tuple(
+        largest=tuple(
             ResidualRow(f"{_location(cell, several)}: {cell.signal} {cell.index}", cell)
-            for cell in [cell for cell in document.where if cell.matters][:MAX_LISTED_PLACES]
+            for cell in [cell for cell in document.where if cell.matters][:MAX_LISTED_RESIDUALS]
         ),
     )
 
 
 def tracks_part(document: ComparisonDocument, tracks: Sequence[Track]) -> TracksPart:
-    """Tracks with the data for choosing one in the page."""
+    """Tracks, with the data of the selection in the page."""
     if document.source == "impacts":
         scatter = Plot("scatter", scatter_plot(tracks), zoom=True) if tracks else None
         return TracksPart([], Plot("tracks-plot", tracks_plot(), zoom=True), False, scatter)

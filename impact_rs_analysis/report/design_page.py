@@ -102,33 +102,33 @@ def design_table(study: DesignStudy) -> str:
         row: list[object] = [design.robot, design.pose, design.motor_inertia, design.pad]
         row.append(" ".join(f"{value:.6g}" for value in design.position))
         for name in MEASURES:
-            found = design.measures[name]
-            row += [f"{value:.6g}" for value in (found.value, found.low, found.high)]
+            estimate = design.measures[name]
+            row += [f"{value:.6g}" for value in (estimate.value, estimate.low, estimate.high)]
             row += [*ranks[name][design.name]]
         writer.writerow(row)
     return text.getvalue()
 
 
 def _texts(design: Design, measure: str) -> tuple[str, str]:
-    found = design.measures[measure]
-    return f"{found.value:.3g}", f"[{found.low:.3g}, {found.high:.3g}]"
+    estimate = design.measures[measure]
+    return f"{estimate.value:.3g}", f"[{estimate.low:.3g}, {estimate.high:.3g}]"
 
 
 def _hits(study: DesignStudy, robots: list[str]) -> go.Figure:
     """Impulse over joint jump."""
     traces = []
     for number, robot in enumerate(robots):
-        own = [design for design in study.designs if design.robot == robot]
+        designs = [design for design in study.designs if design.robot == robot]
         pads = list(study.conditions.pads)
         symbols = [
             SYMBOLS[pads.index(design.pad) % len(SYMBOLS)] + ("-open" if design.motor_inertia == "reduced" else "")
-            for design in own
+            for design in designs
         ]
         traces.append(
             go.Scatter(
-                x=[round(design.measures["joint_jump"].value, 5) for design in own],
-                y=[round(design.measures["impulse"].value, 5) for design in own],
-                text=[design.name for design in own],
+                x=[round(design.measures["joint_jump"].value, 5) for design in designs],
+                y=[round(design.measures["impulse"].value, 5) for design in designs],
+                text=[design.name for design in designs],
                 mode="markers",
                 marker={"color": SERIES_COLOURS[number % len(SERIES_COLOURS)], "symbol": symbols, "size": 6},
                 name=robot,
@@ -146,11 +146,11 @@ def _sensitivity(study: DesignStudy, robots: list[str]) -> go.Figure:
     """Sensitivities by robot and motor inertia."""
     traces = []
     for number, kind in enumerate(study.conditions.motor_inertias):
-        own = [design for design in study.designs if design.motor_inertia == kind]
+        designs = [design for design in study.designs if design.motor_inertia == kind]
         traces.append(
             go.Box(
-                x=[design.robot for design in own],
-                y=[round(design.measures["sensitivity"].value, 6) for design in own],
+                x=[design.robot for design in designs],
+                y=[round(design.measures["sensitivity"].value, 6) for design in designs],
                 name={"reduced": "B_theta", "rotor": "B_rho"}[kind],
                 marker={"color": SERIES_COLOURS[number]},
                 boxpoints=False,

@@ -20,7 +20,7 @@ from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, remaining, shown_unnamed
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import Track
-from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part
+from impact_rs_analysis.report.comparison import ResidualsPart, TracksPart, residuals_part, tracks_part
 from impact_rs_analysis.report.error_history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import Tag, signal_text, tag_of
 from impact_rs_analysis.report.page import Plot, render, write_files
@@ -84,7 +84,7 @@ class DependenceRow:
     Attributes:
         dependence: Its document.
         tag: Colour of the verdict.
-        estimates: Estimates with what they are of.
+        estimates: Estimates with their labels.
     """
 
     dependence: DependenceDocument
@@ -103,17 +103,17 @@ class DiagnosisPage:
         comparison: The model against the same measurements.
         arms: Titles of the arms, by name.
         limits: Relevance limit of every signal.
-        ranges: Estimates whose range is known, by effect and parameter.
+        ranges: Estimates with a range, by effect and parameter.
         effects: Measurable effects, best first.
         effects_plot: Their errors; None without effects.
         unmeasured: Effects without influence on the measured signals.
         not_excluded: Effects that could be there at a noticeable size, in words; empty: none.
-        shown_unnamed: Effects that are not named though their interval excludes zero effect, likewise.
-        dependences: Effects that were found by covariate.
+        shown_unnamed: Effects that are not named though their interval excludes zero effect, in words; empty: none.
+        dependences: Effects by covariate.
         joints_plot: Errors joint by joint; None if not known.
         remaining: Share of the error beyond noise that the effects leave, in words; empty: not known.
-        rest_is_noise: Whether the remaining residuals are consistent with noise.
-        where: Where the model fails.
+        residuals_are_noise: Whether the remaining residuals are consistent with noise.
+        residuals: Residuals of the model without new effects.
         tracks: Measured against predicted over time.
         history: Errors of the model and its parents; None without a parent.
     """
@@ -133,8 +133,8 @@ class DiagnosisPage:
     dependences: tuple[DependenceRow, ...]
     joints_plot: Plot | None
     remaining: str
-    rest_is_noise: bool
-    where: WherePart
+    residuals_are_noise: bool
+    residuals: ResidualsPart
     tracks: TracksPart
     history: HistoryPart | None
 
@@ -184,8 +184,8 @@ def write_diagnosis(
         dependences=tuple(map(_dependence_row, document.dependences)),
         joints_plot=Plot("joints", joints_plot(document.joints)) if document.joints else None,
         remaining=remaining(document),
-        rest_is_noise=after is not None and after > SIGNIFICANCE_LEVEL,
-        where=where_part(comparison),
+        residuals_are_noise=after is not None and after > SIGNIFICANCE_LEVEL,
+        residuals=residuals_part(comparison),
         tracks=tracks_part(comparison, tracks),
         history=history_part(versions) if versions else None,
     )
@@ -211,24 +211,32 @@ def _relevance_limits(comparison: ComparisonDocument) -> tuple[RelevanceLimit, .
     )
 
 
-def _dependence_row(one: DependenceDocument) -> DependenceRow:
-    estimates = [(f"{name} in {level}", own) for level, every in one.levels.items() for name, own in every.items()]
-    estimates += [(f"{name} at {knot}", own) for knot, every in one.curve.items() for name, own in every.items()]
-    estimates += [(f"{name} at the mean", own) for name, own in one.at_mean.items()]
-    estimates += [(f"change of {name}", own) for name, own in one.per_unit.items()]
-    return DependenceRow(one, tag_of(one.verdict), tuple(estimates))
+def _dependence_row(dependence: DependenceDocument) -> DependenceRow:
+    estimates = [
+        (f"{name} in {level}", estimate)
+        for level, estimates_by_name in dependence.levels.items()
+        for name, estimate in estimates_by_name.items()
+    ]
+    estimates += [
+        (f"{name} at {knot}", estimate)
+        for knot, estimates_by_name in dependence.curve.items()
+        for name, estimate in estimates_by_name.items()
+    ]
+    estimates += [(f"{name} at the mean", estimate) for name, estimate in dependence.at_mean.items()]
+    estimates += [(f"change of {name}", estimate) for name, estimate in dependence.per_unit.items()]
+    return DependenceRow(dependence, tag_of(dependence.verdict), tuple(estimates))
 
 
 def _effect_row(effect: EffectDocument) -> EffectRow:
     tag = tag_of(effect.verdict)
-    found = effect.parameters if tag is not Tag.NO else {}
+    parameters = effect.parameters if tag is not Tag.NO else {}
     return EffectRow(
         effect=effect,
         tag=tag,
-        estimates={name: estimate for name, estimate in found.items() if estimate.verdict is None},
+        estimates={name: estimate for name, estimate in parameters.items() if estimate.verdict is None},
         joints=tuple(
             JointRow(name, estimate, tag_of(estimate.verdict))
-            for name, estimate in found.items()
+            for name, estimate in parameters.items()
             if estimate.verdict is not None
         ),
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of a discovery: the law as a formula, its force over its quantity, and what is tied with it."""
+"""Page of a discovery: the law as a formula, its force over its quantity, and laws tied with it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class DiscoveryPage:
     Attributes:
         title: Heading.
         document: The discovery.
-        plot: Force of the best law over its quantity; None without a law of a measured quantity.
+        plot: Force of the best law over its quantity; None without such a law.
     """
 
     title: str
@@ -55,7 +55,7 @@ def law_plot(law: LawDocument) -> go.Figure:
     """The force of a law over its quantity with its band, and a free curve with 95 % intervals.
 
     Args:
-        law: One with a curve.
+        law: A law with a curve.
     """
     curve, domain = law.curve, law.valid
     assert curve is not None and domain is not None
@@ -90,9 +90,9 @@ def _caption(law: LawDocument) -> str:
     if law.curved:
         return (
             "Curve of the dependence that no law explains, with its 95 % band. Points: its values with their "
-            "intervals; it is straight between them. Beyond them it falls to 0: nothing was measured there."
+            "intervals, linearly interpolated. Beyond them it falls to 0: nothing was measured there."
         )
     return (
         f"Line: {law.name} with its 95 % band. Points: a free curve in its place, fitted to the same measurements, "
-        "with 95 % intervals; it knows no form."
+        "with 95 % intervals; it assumes no form."
     )

@@ -22,7 +22,7 @@ class HistoryPart:
 
     Attributes:
         versions: From the first to the last.
-        yardstick: The errors are multiples of this.
+        yardstick: Unit of the errors, in words.
         plot: Errors over versions.
     """
 

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import plotly.graph_objects as go
 
 from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, UNIDENTIFIABLE
 from impact_rs_analysis.investigation.endings import UNDECIDED, Ending, ending_of
-from impact_rs_analysis.investigation.rounds import Round, measured
+from impact_rs_analysis.investigation.rounds import Round, planned_trials
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_analysis.report.figures import BLUE, RED
 from impact_rs_analysis.report.page import Plot, render, write_files
@@ -27,11 +27,11 @@ class FamilyMember:
 
     Attributes:
         name: Its file, or the first model.
-        parent: Its parent; None: it is the first.
-        effect: Effect that it adds; empty: none.
-        generation: Models between it and the first one, itself included.
-        trials: Trials that it was made from.
-        last: Whether it is the newest one.
+        parent: Its parent; None for the first model.
+        effect: Added effect; empty for the first model.
+        generation: Number of added effects since the first model.
+        trials: Number of trials from which it was made.
+        last: Whether it is the newest model or one of its ancestors.
     """
 
     name: str
@@ -43,14 +43,14 @@ class FamilyMember:
 
 
 @dataclass(frozen=True)
-class Bought:
+class RoundGain:
     """Gain from the trials of a round.
 
     Attributes:
         round: The round.
-        total: Trials up to it.
-        error: Error of its model with all trials, in multiples of repeatability; None: not compared yet.
-        predicted: Error of its model in the trials of the round alone, which it had not seen; None: not known.
+        total: Number of trials up to this round.
+        error: Error of its model in all trials so far, in multiples of repeatability; None: not compared yet.
+        predicted: Error of its model in the unseen trials of the round; None: not known.
         possible: Effects that may still be missing; None: not diagnosed yet.
     """
 
@@ -70,7 +70,7 @@ class InvestigationPage:
     ending: Ending | None
     undecided: bool
     family: tuple[FamilyMember, ...]
-    bought: tuple[Bought, ...]
+    gains: tuple[RoundGain, ...]
     plots: tuple[Plot, ...]
 
 
@@ -88,20 +88,20 @@ def write_investigation(settings: Settings, rounds: Sequence[Round], directory: 
     Raises:
         InputError: It cannot be written.
     """
-    family, bought = family_of(settings, rounds), bought_of(rounds)
+    family, gains = family_of(settings, rounds), gains_of(rounds)
     last = rounds[-1].decision if rounds else None
     ending = ending_of(settings, rounds) if last is not None and last.action == "end" else None
     plots = [Plot("family", family_plot(family), caption="Models from parent to child; grey: replaced by a later one.")]
-    if any(one.error is not None for one in bought):
+    if any(gain.error is not None for gain in gains):
         caption = "Error of each round's model with all trials up to then; a round that tries a new model begins lower."
-        plots.append(Plot("bought", bought_plot(bought), caption=caption))
+        plots.append(Plot("gain", gains_plot(gains), caption=caption))
     page = InvestigationPage(
         title="Investigation",
         settings=settings,
         ending=ending,
         undecided=ending is not None and ending.verdict == UNDECIDED,
         family=tuple(family),
-        bought=tuple(bought),
+        gains=tuple(gains),
         plots=tuple(plots),
     )
     return write_files(directory, {INVESTIGATION_PAGE: render("investigation.html.j2", page)})[0]
@@ -109,89 +109,89 @@ def write_investigation(settings: Settings, rounds: Sequence[Round], directory: 
 
 def family_of(settings: Settings, rounds: Sequence[Round]) -> list[FamilyMember]:
     """All models, the first one first."""
-    found = [FamilyMember(settings.model, None, "", 0, 0)]
-    for number, here in enumerate(rounds, start=1):
-        if here.decision is None:
+    family = [FamilyMember(settings.model, None, "", 0, 0)]
+    for count, round_ in enumerate(rounds, start=1):
+        if round_.decision is None:
             continue
-        parent = here.decision.base or settings.model
-        first = 1 + next(one.generation for one in found if one.name == parent)
-        pairs = zip(here.decision.models, here.decision.add, strict=True)
-        for generation, (name, effect) in enumerate(pairs, start=first):
-            found.append(FamilyMember(name, parent, effect, generation, measured(rounds[:number])))
+        parent = round_.decision.base or settings.model
+        first_generation = 1 + next(member.generation for member in family if member.name == parent)
+        pairs = zip(round_.decision.models, round_.decision.add, strict=True)
+        for generation, (name, effect) in enumerate(pairs, start=first_generation):
+            family.append(FamilyMember(name, parent, effect, generation, planned_trials(rounds[:count])))
             parent = name
-    newest = {found[-1].name}
-    for one in reversed(found):
-        if one.name in newest and one.parent is not None:
-            newest.add(one.parent)
-    return [FamilyMember(**{**vars(one), "last": one.name in newest}) for one in found]
+    ancestors = {family[-1].name}
+    for member in reversed(family):
+        if member.name in ancestors and member.parent is not None:
+            ancestors.add(member.parent)
+    return [replace(member, last=member.name in ancestors) for member in family]
 
 
-def bought_of(rounds: Sequence[Round]) -> list[Bought]:
+def gains_of(rounds: Sequence[Round]) -> list[RoundGain]:
     """Gain from the trials of every round."""
-    found = []
-    for number, here in enumerate(rounds, start=1):
-        basis = here.basis
+    gains = []
+    for count, round_ in enumerate(rounds, start=1):
+        basis = round_.basis
         possible = None
         if basis is not None:
-            out = (NO_IMPROVEMENT, UNIDENTIFIABLE)
-            left = {effect.name for effect in basis.effects if effect.measured and effect.verdict not in out}
-            possible = len(left | set(basis.suspected))
-        error = None if here.comparison is None else here.comparison.score
-        predicted = None if here.prediction_error is None else here.prediction_error.error
-        found.append(Bought(here, measured(rounds[:number]), error, predicted, possible))
-    return found
+            excluded = (NO_IMPROVEMENT, UNIDENTIFIABLE)
+            candidates = {effect.name for effect in basis.effects if effect.measured and effect.verdict not in excluded}
+            possible = len(candidates | set(basis.suspected))
+        error = None if round_.comparison is None else round_.comparison.score
+        predicted = None if round_.prediction_error is None else round_.prediction_error.error
+        gains.append(RoundGain(round_, planned_trials(rounds[:count]), error, predicted, possible))
+    return gains
 
 
 def family_plot(family: Sequence[FamilyMember]) -> go.Figure:
-    """The family tree: generations to the right, later models further down."""
-    row, rows = 0, dict[str, float]()
-    for one in family:
-        row += 1 if one.generation <= 1 and rows else 0
-        rows[one.name] = float(-row if one.generation else 0)
-    known = {one.name: one for one in family}
+    """The family tree: generations from left to right, later models below earlier ones."""
+    height, heights = 0, dict[str, float]()
+    for member in family:
+        height += 1 if member.generation <= 1 and heights else 0
+        heights[member.name] = float(-height if member.generation else 0)
+    by_name = {member.name: member for member in family}
     traces = []
-    for one in family:
-        if one.parent is not None:
-            before = known[one.parent]
+    for member in family:
+        if member.parent is not None:
+            parent = by_name[member.parent]
             traces.append(
                 go.Scatter(
-                    x=[before.generation, one.generation],
-                    y=[rows[before.name], rows[one.name]],
+                    x=[parent.generation, member.generation],
+                    y=[heights[parent.name], heights[member.name]],
                     mode="lines",
-                    line={"color": BLUE if one.last else GREY},
+                    line={"color": BLUE if member.last else GREY},
                     hoverinfo="skip",
                     showlegend=False,
                 )
             )
     traces.append(
         go.Scatter(
-            x=[one.generation for one in family],
-            y=[rows[one.name] for one in family],
+            x=[member.generation for member in family],
+            y=[heights[member.name] for member in family],
             mode="markers+text",
-            text=[f"{Path(one.name).stem}<br>{f'+ {one.effect}' if one.effect else ''}" for one in family],
+            text=[f"{Path(member.name).stem}<br>{f'+ {member.effect}' if member.effect else ''}" for member in family],
             textposition="bottom center",
-            marker={"size": 16, "color": [BLUE if one.last else GREY for one in family]},
-            hovertext=[f"from {one.trials} trials" for one in family],
+            marker={"size": 16, "color": [BLUE if member.last else GREY for member in family]},
+            hovertext=[f"from {member.trials} trials" for member in family],
             showlegend=False,
         )
     )
-    most = max(one.generation for one in family)
+    last_generation = max(member.generation for member in family)
     return go.Figure(traces, layout={"template": TEMPLATE}).update_layout(
-        height=180 + 90 * len(set(rows.values())),
-        xaxis={"visible": False, "range": [-0.5, most + 0.5]},
-        yaxis={"visible": False, "range": [min(rows.values()) - 0.8, 0.5]},
+        height=180 + 90 * len(set(heights.values())),
+        xaxis={"visible": False, "range": [-0.5, last_generation + 0.5]},
+        yaxis={"visible": False, "range": [min(heights.values()) - 0.8, 0.5]},
     )
 
 
-def bought_plot(bought: Sequence[Bought]) -> go.Figure:
-    """Error of the present model, and effects that may be missing, over the trials."""
-    shown = [one for one in bought if one.error is not None]
+def gains_plot(gains: Sequence[RoundGain]) -> go.Figure:
+    """Error of every round's model over the number of trials."""
+    shown = [gain for gain in gains if gain.error is not None]
     trace = go.Scatter(
-        x=[one.total for one in shown],
-        y=[one.error for one in shown],
+        x=[gain.total for gain in shown],
+        y=[gain.error for gain in shown],
         mode="lines+markers+text",
         line={"color": RED},
-        text=[Path(one.round.model).stem for one in shown],
+        text=[Path(gain.round.model).stem for gain in shown],
         textposition="top center",
         showlegend=False,
     )

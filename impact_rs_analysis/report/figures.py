@@ -128,20 +128,20 @@ def figures_of(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
 
 
 def _stem(entry: ExperimentSet) -> str:
-    """Stem of its figures' file names; names in a bag are not trusted."""
+    """Stem of the file names of its figures, safe for any name in a bag."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", f"{entry.scenario}__{entry.object}__{entry.case}")
 
 
 def _colours(count: int) -> list[str]:
-    """Colours from slow to fast: five given ones, interpolated for other counts."""
+    """Colours from slow to fast, picked from five, or interpolated for larger counts."""
     if count == 1:
         return [BLACK]
     if count <= len(SCALE_COLOURS):
-        picks = np.round(np.linspace(0, len(SCALE_COLOURS) - 1, count)).astype(int)
-        return [SCALE_COLOURS[pick] for pick in picks]
+        indices = np.round(np.linspace(0, len(SCALE_COLOURS) - 1, count)).astype(int)
+        return [SCALE_COLOURS[index] for index in indices]
     anchors = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in SCALE_COLOURS])
-    places = np.linspace(0, len(anchors) - 1, count)
-    channels = [np.interp(places, np.arange(len(anchors)), anchors[:, i]) for i in range(3)]
+    positions = np.linspace(0, len(anchors) - 1, count)
+    channels = [np.interp(positions, np.arange(len(anchors)), anchors[:, i]) for i in range(3)]
     return ["#" + "".join(f"{round(value):02x}" for value in colour) for colour in zip(*channels, strict=True)]
 
 
@@ -196,7 +196,7 @@ def signals_figure(entry: ExperimentSet) -> Figure:
 
 
 def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, float] | None = None) -> Figure:
-    """Net feedback over post-impact reference velocity (paper fig. Fit_results_push); arguments as above."""
+    """Net feedback over post-impact reference velocity (paper fig. Fit_results_push), see :func:`figures_of`."""
     axis, fit = entry.axis, entry.fit
     x = np.array([trial.info.reference_post_velocity for trial in entry.trials])
     y = np.array([trial.net for trial in entry.trials])
@@ -211,17 +211,17 @@ def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
     ]
     for model in MOTOR_INERTIA_MODELS:
         name, colour, marker = MODEL_STYLE[model]
-        velocity, off = predictions[model].velocity, predictions[model].error
-        label = f"{name}: {abs(velocity):.3f} m/s ({off:+.2f} %)".replace("-", "−")
-        own = Curve(label, np.array([velocity]), np.zeros(1), colour, line="none", marker=marker)  # type: ignore[arg-type]
-        curves.append(own)
-    # Below the zero line, away from the fitted line, where no markers cover them.
+        velocity, mismatch = predictions[model].velocity, predictions[model].error
+        label = f"{name}: {abs(velocity):.3f} m/s ({mismatch:+.2f} %)".replace("-", "−")
+        curve = Curve(label, np.array([velocity]), np.zeros(1), colour, line="none", marker=marker)  # type: ignore[arg-type]
+        curves.append(curve)
+    # Intervals are drawn below the zero line and away from the fitted line, where no markers cover them.
     depth = -0.08 * (np.max(y) - np.min(y)) * np.ones(2)
     if contact == "first" and entry.prediction_interval is not None:
-        left, right = entry.prediction_interval
-        low, high = sorted((abs(left), abs(right)))
+        lower, upper = entry.prediction_interval
+        low, high = sorted((abs(lower), abs(upper)))
         label = "B<sub>θ</sub>, 95 %: {} to {} m/s".format(*estimate_text(low, (low, high), least=3)[1:])
-        curves.append(Curve(label, np.array([left, right]), depth, BLUE))
+        curves.append(Curve(label, np.array([lower, upper]), depth, BLUE))
     if band is not None:
         label = f"Systematic band: {band[0]:+.1f} % to {band[1]:+.1f} %".replace("-", "−")
         curves.append(Curve(label, fit.estimate * (1.0 + np.array(band) / 100.0), 1.5 * depth, BLACK))
@@ -234,7 +234,7 @@ def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
             "post-impact velocity; its 95 % interval follows from the scatter of the trials (Fieller). The closer a "
             f"prediction lies to it, the better its motor-inertia model. Predictions are for the {contact} contact"
             + (
-                "; that of B<sub>θ</sub> with the 95 % interval of the scenario's stated uncertainties."
+                "; the prediction with B<sub>θ</sub> has the 95 % interval of the scenario's uncertainties."
                 if contact == "first" and entry.prediction_interval is not None
                 else "."
             )
@@ -247,7 +247,7 @@ def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
 
 def _estimate_curve(entry: ExperimentSet) -> Curve:
     """The experimental estimate on the zero line, with its interval."""
-    fit, error, estimate = entry.fit, None, f"{entry.estimate:.3f} no 95 % interval"
+    fit, error, estimate = entry.fit, None, f"{entry.estimate:.3f} m/s, no 95 % interval"
     if fit.interval is not None:
         error = (fit.estimate - fit.interval[0], fit.interval[1] - fit.estimate)
         estimate = " ± ".join(speed_text(entry.estimate, max(error))) + " m/s (95 %)"

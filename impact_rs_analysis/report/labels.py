@@ -47,7 +47,7 @@ def phase_text(phase: str) -> str:
 
 
 def signal_text(row: SignalLevel) -> str:
-    """Phase and signal, with the arm in front where there are several."""
+    """Phase and signal, after the arm if there are several arms."""
     text = f"{phase_text(row.phase)}: {row.signal}"
     return f"{row.arm}, {text[:1].lower()}{text[1:]}" if row.arm else text
 

@@ -33,10 +33,10 @@ TEMPLATES = Path(__file__).with_name("templates")
 BUNDLE = Path(__file__).with_name("bundle")
 PLOTLY = BUNDLE / "plotly-cartesian.min.js"
 STYLE = TEMPLATES / "page.css"
-PALETTE = TEMPLATES / "palette.css"  # its colours, and the colours of the workbench
-MAX_CURVE_POINTS = 500  # of a curve over time; a screen resolves no more
-MAX_TRACK_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
-PREFIXED_UNITS = ("m", "rad")  # whose small values are shown with a prefix
+PALETTE = TEMPLATES / "palette.css"  # colours of pages and workbench
+MAX_CURVE_POINTS = 500  # per curve over time; a screen resolves no more
+MAX_TRACK_NUMBERS = 90_000  # in all tracks of a page, 0.5 MB
+PREFIXED_UNITS = ("m", "rad")  # small values of these units have a prefix
 NAME_AT_START = re.compile(r"[a-z]\S*[\d_.]\w*[:,;.]*(\s|$)")  # a first word as log_1.json, joint1: or base_tilt
 
 
@@ -50,7 +50,7 @@ class Plot:
         caption: Explanation below it, with ``<sub>``; empty: none.
         title: Heading above it; empty: none.
         zoom: Whether it can be zoomed and saved.
-        run: Number of the run in 3D whose time is its x axis; None: no run.
+        run: Index of the 3D run whose time is its x axis; None: no run.
     """
 
     name: str
@@ -124,7 +124,7 @@ def track_data(tracks: Sequence[Track]) -> list[dict[str, Any]]:
 
 
 def _broken(values: Array, breaks: NDArray[np.intp]) -> Array:
-    """Values with a NaN before each row of ``breaks``, where a line ends."""
+    """Values with a NaN before every row of ``breaks``, which interrupts the line."""
     return np.insert(values.astype(float), breaks, np.nan)
 
 

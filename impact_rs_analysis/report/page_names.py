@@ -24,4 +24,4 @@ PAGES = (
     REHEARSAL_PAGE,
     DESIGN_STUDY_PAGE,
 )
-TABLES = (LIMITS_TABLE, DESIGNS_TABLE)  # beside pages; no recordings
+TABLES = (LIMITS_TABLE, DESIGNS_TABLE)  # next to pages; no recordings

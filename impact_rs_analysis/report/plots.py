@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # figures of an analysis do not need the diagnosis package
 GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
 TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
 DASHES = {"solid": "solid", "dashed": "dash", "none": "solid"}
-# Of heat maps, over the same range in every report: 2 times repeatability is nearly white, 10 dark, more the darkest.
+# Heat maps have one scale in all reports: 2 times repeatability is nearly white, 10 and more are darkest.
 DARKEST_RATIO = 10.0  # in multiples of the larger of repeatability and relevance limit
 DIVERGING_COLOURS = [
     [0.0, "#B2182B"],
@@ -39,7 +39,7 @@ DIVERGING_COLOURS = [
     [0.8, "#67A9CF"],
     [1.0, "#2166AC"],
 ]
-MAX_PLOTTED_EFFECTS = 12  # bars of the figure
+MAX_PLOTTED_EFFECTS = 12  # rows of the figure
 MIN_LOG_AXIS_RATIO = 10.0  # largest over smallest value, from which an axis is logarithmic
 MIN_SHOWN_RATIO = 2.0  # residual over repeatability, from which a cell above its relevance limit is shown
 
@@ -66,19 +66,19 @@ TEMPLATE = {  # plain data: a Plotly template object would load 0.2 s of modules
 
 
 def _figure(data: Any = None) -> go.Figure:
-    """A figure with our template alone: with Plotly's own below it each would be 6 kB larger."""
+    """A figure with our template alone; the default template of Plotly would add 6 kB."""
     return go.Figure(data, layout={"template": TEMPLATE})
 
 
-def curves_plot(figure: Figure, most: int | None = None) -> go.Figure:
-    """A figure that is also drawn as PNG, from the same description.
+def curves_plot(figure: Figure, max_points: int | None = None) -> go.Figure:
+    """Plotly figure from the description that also gives the PNG.
 
     Args:
         figure: Description of the figure.
-        most: Points of a curve over time, at most; None: all.
+        max_points: Largest number of points of a curve over time; None: all.
     """
-    if most is not None and figure.over_time:
-        figure = replace(figure, panels=tuple(_decimated(panel, most) for panel in figure.panels))
+    if max_points is not None and figure.over_time:
+        figure = replace(figure, panels=tuple(_decimated(panel, max_points) for panel in figure.panels))
     panels = len(figure.panels)
     drawn = _figure()
     gap = 0.045
@@ -109,9 +109,9 @@ def curves_plot(figure: Figure, most: int | None = None) -> go.Figure:
     )
 
 
-def _decimated(panel: Panel, most: int) -> Panel:
+def _decimated(panel: Panel, max_points: int) -> Panel:
     """Decimated points of every curve."""
-    strides = [max(1, math.ceil(curve.x.size / most)) for curve in panel.curves]
+    strides = [max(1, math.ceil(curve.x.size / max_points)) for curve in panel.curves]
     curves = [
         replace(curve, x=curve.x[::stride], y=curve.y[::stride])
         for curve, stride in zip(panel.curves, strides, strict=True)
@@ -120,7 +120,7 @@ def _decimated(panel: Panel, most: int) -> Panel:
 
 
 def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
-    # Hollow and large: an estimate must not hide the prediction that it agrees with.
+    # An estimate is hollow and large: it must not hide a prediction at the same value.
     size = 17 if curve.error else 11 if curve.x.size == 1 else 7
     error = None
     if curve.error is not None:
@@ -149,7 +149,7 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
 
 
 def _x_coordinates(x: Array) -> dict[str, Any]:
-    """x coordinates of a curve; start and step alone if evenly spaced, which keeps pages small."""
+    """x coordinates of a curve; only start and step if they are evenly spaced, which keeps pages small."""
     if not x.size:  # a curve without points keeps its legend entry only with one invisible point
         return {"x": [None]}
     steps = np.diff(x)
@@ -169,12 +169,12 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     colours = [TAG_COLOURS[tag_of(effect.verdict)] for effect, _ in shown]
     # Documents of earlier versions lack the error of an effect alone.
     alone = [effect.held_out_error_alone for effect, _ in shown]
-    others = [effect.held_out_error_without for effect, _ in shown]
+    without_effect = [effect.held_out_error_without for effect, _ in shown]
     drawn = _figure()
     # Without a chosen effect every effect is alone.
-    beside = len(document.named) > 0 or not any(error is not None for error in alone)
-    if beside:
-        for name, colour, without, (_, error) in zip(names, colours, others, shown, strict=True):
+    with_chosen = len(document.named) > 0 or not any(error is not None for error in alone)
+    if with_chosen:
+        for name, colour, without, (_, error) in zip(names, colours, without_effect, shown, strict=True):
             drawn.add_trace(
                 go.Scatter(
                     y=[name, name], x=[without, error], mode="lines", line={"color": colour, "width": 3},
@@ -182,7 +182,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
                 )
             )  # fmt: skip
     for label, errors, symbol, size in (
-        ("with the chosen effects", [error for _, error in shown] if beside else [], "line-ns", 12),
+        ("with the chosen effects", [error for _, error in shown] if with_chosen else [], "line-ns", 12),
         ("alone", alone if any(error is not None for error in alone) else [], "circle", 12),
     ):
         if not errors:
@@ -197,13 +197,13 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
                 hovertemplate=f"%{{y}}, {label}: %{{x:.3g}}<extra></extra>",
             )
         )
-    marks = {"model as it is": (document.held_out_error_before, "#555555", "dash")}
-    marks["noise alone"] = (document.noise_floor, GREEN, "dot")
-    for label, (value, colour, dash) in marks.items():
+    reference_lines = {"model as it is": (document.held_out_error_before, "#555555", "dash")}
+    reference_lines["noise alone"] = (document.noise_floor, GREEN, "dot")
+    for label, (value, colour, dash) in reference_lines.items():
         line = {"color": colour, "width": 2, "dash": dash}
         drawn.add_shape(_vertical(value) | {"line": line}, name=label, showlegend=True)
     numbers = [document.held_out_error_before, document.noise_floor, *(error for _, error in shown)]
-    numbers += [error for error in (*alone, *others) if error is not None]
+    numbers += [error for error in (*alone, *without_effect) if error is not None]
     unit = "× repeatability" if document.error_unit == TIMES else document.error_unit
     return drawn.update_layout(
         height=130 + 24 * len(shown),
@@ -256,56 +256,59 @@ def noticeable(cell: Cell) -> bool:
     return cell.times_noise > MIN_SHOWN_RATIO and cell.matters
 
 
-def where_plots(cells: Sequence[Cell], by_phase: bool, yardstick: str) -> list[tuple[str, go.Figure]]:
+def residual_maps(cells: Sequence[Cell], by_phase: bool, yardstick: str) -> list[tuple[str, go.Figure]]:
     """Heat maps of signed residuals, with their titles.
 
     Args:
         cells: Places, largest first.
-        by_phase: Whether a map has a column per phase, as of recordings; else there is a map per phase with a column
-            per object and case.
-        yardstick: Residuals are multiples of this.
+        by_phase: Whether there is one map with a column per phase, as for recordings; otherwise there is a map per
+            phase with a column per object and case.
+        yardstick: Unit of the residuals, in words.
     """
     if by_phase:
         drawn = _heat_map(cells, [(phase_text(cell.phase), cell) for cell in cells], yardstick)
         title = "By joint and motion" if all(cell.signal == "torque" for cell in cells) else "By signal"
         return [] if drawn is None else [(title, drawn)]
-    several = len({cell.scenario for cell in cells}) > 1
-    found = []
+    several_scenarios = len({cell.scenario for cell in cells}) > 1
+    maps = []
     for phase in sorted({cell.phase for cell in cells}, key=_order_of_phase):
-        own = [cell for cell in cells if cell.phase == phase]
-        places = [(location_text(cell, several), cell) for cell in own]
-        drawn = _heat_map(own, sorted(places, key=lambda entry: entry[0]), yardstick)
+        of_phase = [cell for cell in cells if cell.phase == phase]
+        columns = [(location_text(cell, several_scenarios), cell) for cell in of_phase]
+        drawn = _heat_map(of_phase, sorted(columns, key=lambda entry: entry[0]), yardstick)
         if drawn is not None:
-            found.append((phase_text(phase), drawn))
-    return found
+            maps.append((phase_text(phase), drawn))
+    return maps
 
 
 def _order_of_phase(phase: str) -> tuple[int, str]:
-    known = ("free", "impact", "push")
-    return (known.index(phase) if phase in known else len(known), phase)
+    order = ("free", "impact", "push")
+    return (order.index(phase) if phase in order else len(order), phase)
 
 
 def _arm_first(row: tuple[str, str]) -> tuple[bool, str, tuple[str, str]]:
-    """Order of signals by index: by arm, signals without an arm last."""
+    """Sort key of signals: by arm, signals without an arm last."""
     arm = row[1].rpartition(".")[0]
     return not arm, arm, row
 
 
 def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], yardstick: str) -> go.Figure | None:
-    """Rows are signals by joint or axis, without those that :func:`noticeable` excludes; None if no row remains."""
+    """Heat map with a row per signal and joint or axis that has a :func:`noticeable` cell; None without such a row."""
     shown = {(cell.signal, cell.index) for cell in cells if noticeable(cell)}
     if not shown:
         return None
     rows = sorted(shown, key=_arm_first)
     names = list(dict.fromkeys(name for name, _ in columns))
-    known = {(cell.signal, cell.index, name): cell for name, cell in columns}
-    found = [[known.get((*row, name)) for name in names] for row in rows]
+    by_position = {(cell.signal, cell.index, name): cell for name, cell in columns}
+    grid = [[by_position.get((*row, name)) for name in names] for row in rows]
     drawn = _figure(
         go.Heatmap(
-            z=[[None if c is None else round(math.copysign(c.size, c.error), 2) for c in row] for row in found],
+            z=[
+                [None if cell is None else round(math.copysign(cell.size, cell.error), 2) for cell in row]
+                for row in grid
+            ],
             x=[_plain(name) for name in names],
             y=[_plain(f"{signal} {index}") for signal, index in rows],
-            text=[["" if c is None else quantity_text(c.error, c.unit) for c in row] for row in found],
+            text=[["" if cell is None else quantity_text(cell.error, cell.unit) for cell in row] for row in grid],
             hovertemplate=f"%{{y}}<br>%{{x}}<br>%{{z:.1f}} × {yardstick}<br>%{{text}}<extra></extra>",
             zmin=-DARKEST_RATIO,
             zmax=DARKEST_RATIO,
@@ -331,7 +334,7 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], yardst
 
 
 def history_plot(versions: Sequence[VersionError], unit: str) -> go.Figure:
-    """Error of every version of a model, with its own parameters and held out."""
+    """Error of every version of a model, with the parameters of its file and held out."""
     numbers = list(range(len(versions)))
     lines: list[tuple[str, list[float | None], str, str]] = [
         ("error, parameters of the file", [entry.error_fit for entry in versions], BLUE, "solid"),
@@ -367,18 +370,18 @@ def history_plot(versions: Sequence[VersionError], unit: str) -> go.Figure:
 
 
 def rollouts_plot(rollouts: RolloutDocument) -> go.Figure:
-    """Distance of the end effector from where it was over time, and the growth of a constant torque error beside it."""
+    """Error of the end effector over time, and the quadratic growth under a constant torque error."""
     time, error = list(rollouts.time_s), list(rollouts.tool_mm)
-    place = next(row for row, moment in enumerate(time) if moment >= rollouts.horizons[0].horizon_s - 1e-9)
-    guide = [error[place] * (moment / time[place]) ** 2 for moment in time[place:]]
+    first_row = next(row for row, t in enumerate(time) if t >= rollouts.horizons[0].horizon_s - 1e-9)
+    quadratic = [error[first_row] * (t / time[first_row]) ** 2 for t in time[first_row:]]
     drawn = _figure(
         [
             go.Scatter(
                 x=time, y=error, name="rollouts, rms over starts", mode="lines", line={"color": BLUE, "width": 2}
             ),
             go.Scatter(
-                x=time[place:],
-                y=guide,
+                x=time[first_row:],
+                y=quadratic,
                 name="growth of a constant torque error, with the square of the time",
                 mode="lines",
                 line={"color": GREY, "dash": "dash"},
@@ -411,49 +414,52 @@ def tracks_plot() -> go.Figure:
 
 
 def scatter_plot(sets: Sequence[Track]) -> go.Figure:
-    """Measured over predicted numbers, a panel per quantity; of several predictions the last is on top."""
+    """Measured over predicted numbers, a panel per quantity; the last prediction is on top."""
     groups = list(dict.fromkeys(signal.name.rsplit(" ", 1)[0] for signal in sets[0].curves))
     drawn = _figure()
     gap = 0.12
     width = (1.0 - gap * (len(groups) - 1)) / len(groups)
     for number, group in enumerate(groups):
         suffix = "" if number == 0 else str(number + 1)
-        ends: list[float] = []
-        for place, track in enumerate(sets):
-            own = [signal for signal in track.curves if signal.name.rsplit(" ", 1)[0] == group]
-            x = np.concatenate([signal.predicted for signal in own])
-            y = np.concatenate([signal.measured for signal in own])
-            names = [name for signal in own for name in [_plain(signal.name.rsplit(" ", 1)[1])] * signal.measured.size]
-            ends += [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
-            last = place == len(sets) - 1
+        extremes: list[float] = []
+        for index, track in enumerate(sets):
+            signals = [signal for signal in track.curves if signal.name.rsplit(" ", 1)[0] == group]
+            x = np.concatenate([signal.predicted for signal in signals])
+            y = np.concatenate([signal.measured for signal in signals])
+            names = [
+                name for signal in signals for name in [_plain(signal.name.rsplit(" ", 1)[1])] * signal.measured.size
+            ]
+            extremes += [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
+            on_top = index == len(sets) - 1
             drawn.add_trace(
                 go.Scatter(
                     x=x.astype(np.float32),
                     y=y.astype(np.float32),
                     text=[
-                        f"{name}, row {row:g}" for name, row in zip(names, np.tile(track.time, len(own)), strict=True)
+                        f"{name}, row {row:g}"
+                        for name, row in zip(names, np.tile(track.time, len(signals)), strict=True)
                     ],
                     name=_plain(track.label),
                     legendgroup=track.label,
                     showlegend=number == 0 and len(sets) > 1,
                     mode="markers",
-                    marker={"color": BLUE if last else GREY, "size": 5, "opacity": 0.7},
+                    marker={"color": BLUE if on_top else GREY, "size": 5, "opacity": 0.7},
                     hovertemplate="%{text}: predicted %{x:.3g}, measured %{y:.3g}<extra></extra>",
                     xaxis=f"x{suffix}",
                     yaxis=f"y{suffix}",
                 )
             )
-        low, high = min(ends), max(ends)
+        low, high = min(extremes), max(extremes)
         drawn.add_shape(
             type="line", x0=low, y0=low, x1=high, y1=high, xref=f"x{suffix}", yref=f"y{suffix}", layer="below",
             line={"color": ZERO, "width": 1},
         )  # fmt: skip
         unit = _plain(next(signal.unit for signal in sets[0].curves if signal.name.startswith(group)))
-        left = number * (width + gap)
+        start = number * (width + gap)
         drawn.update_layout(
             {
                 f"xaxis{suffix}": {
-                    "domain": [left, left + width],
+                    "domain": [start, start + width],
                     "anchor": f"y{suffix}",
                     "title": {"text": f"predicted [{unit}]"},
                 },

@@ -27,10 +27,10 @@ class RehearsalPage:
     Attributes:
         title: Heading.
         verdict: Result of the rehearsal.
-        passed: Whether it was passed.
-        driver: The driver whose stand-in it was, and where its numbers come from.
+        passed: Whether the rehearsal was passed.
+        driver: The emulated driver, and the source of its numbers.
         bounds: The checklist.
-        unknown: Unchecked properties, and why.
+        unknown: Unchecked properties, with the reason.
         log: Log of the cell, and events.
         plots: Figures.
     """
@@ -52,7 +52,7 @@ def write_rehearsal(
 
     Args:
         title: Scenario, object and case.
-        driver: The driver whose stand-in it was, and where its numbers come from.
+        driver: The emulated driver, and the source of its numbers.
         bounds: The checklist.
         document: The rehearsal as JSON: ``verdict``, ``passed``, ``not_checked``, ``log`` and more.
         directory: Folder of the report.
@@ -72,7 +72,9 @@ def write_rehearsal(
         bounds=tuple(bounds),
         unknown=tuple(document["not_checked"]),
         log=tuple(document["log"]),
-        plots=(Plot("margins", margins_plot(bounds), caption),) if any(one.share is not None for one in bounds) else (),
+        plots=(Plot("margins", margins_plot(bounds), caption),)
+        if any(bound.share is not None for bound in bounds)
+        else (),
     )
     files = {
         REHEARSAL_PAGE: render("rehearsal.html.j2", page),
@@ -83,7 +85,7 @@ def write_rehearsal(
 
 def margins_plot(bounds: Sequence[CheckedBound]) -> go.Figure:
     """Bars of every value over its bound, from 0 to ``MAX_BAR_RATIO``."""
-    rows = [(one.name, one.share, one.holds) for one in reversed(bounds) if one.share is not None]
+    rows = [(bound.name, bound.share, bound.holds) for bound in reversed(bounds) if bound.share is not None]
     figure = go.Figure(layout={"template": TEMPLATE})
     figure.add_bar(
         y=[name for name, *_ in rows],

@@ -23,8 +23,8 @@ from impact_rs_sim.robots.urdf import joint_names
 from impact_rs_sim.rotations import quaternion_of
 
 DEFAULT_COLOUR = "0.88 0.88 0.9 1"  # RGBA, as in a URDF
-MOVING_JOINT_TYPES = ("revolute", "continuous", "prismatic")  # those with a joint state
-STICK_RADIUS_M = 0.03  # of a link without usable shapes
+MOVING_JOINT_TYPES = ("revolute", "continuous", "prismatic")  # have a joint state
+STICK_RADIUS_M = 0.03  # for links without usable shapes
 SPHERE_POINTS = (9, 16)  # from pole to pole, and around
 
 
@@ -33,37 +33,39 @@ def scene_data(physics: Physics) -> dict[str, Any]:
 
     Returns:
         ``arms`` in the order of the data; ``joints`` with ``parent``, ``child``, ``type``, ``position`` [m] and
-        ``quaternion`` (x y z w) in the parent, ``axis`` where it is not z, and ``column`` of those that move;
-        ``links``: by name the shapes with pose in the link and colour; ``root``: the link that stands still;
-        ``object``: extent along its axes [m], and ``object_shape`` where it is no box; ``neighbours``: likewise, where
-        it has some.
+        ``quaternion`` (x y z w) in the parent, ``axis`` where it is not z, and ``column`` if it moves;
+        ``links``: shapes with pose in the link and colour, by name of the link; ``root``: the fixed link;
+        ``object``: extent along its axes [m], and ``object_shape`` if it is no box; ``neighbours``: extents and shapes
+        of neighbouring objects, if there are any.
     """
-    robot, plain = (Xml.fromstring(physics.description(meshes)) for meshes in (True, False))
+    robot, simplified = (Xml.fromstring(physics.description(meshes)) for meshes in (True, False))
     links = {
         link.get("name", ""): _shapes(link) or _shapes(simple)
-        for link, simple in zip(robot.iter("link"), plain.iter("link"), strict=True)
+        for link, simple in zip(robot.iter("link"), simplified.iter("link"), strict=True)
     }
     scene = _scene(robot, moving_joints(physics), list(physics.arms), links) | _object(physics.object)
-    beside = [_object(one.body) for one in physics.neighbours]
-    return scene | {"neighbours": beside} if beside else scene
+    neighbours = [_object(neighbour.body) for neighbour in physics.neighbours]
+    return scene | {"neighbours": neighbours} if neighbours else scene
 
 
 def _object(body: ObjectPhysics) -> dict[str, Any]:
-    """Extents of an object, and its shape where it is no box."""
+    """Extents of an object, and its shape if it is no box."""
     extents = {"object": body.size.tolist()}
     return extents if body.shape.is_box else extents | {"object_shape": _object_shape(body)}
 
 
 def moving_joints(physics: Physics) -> list[str]:
     """Names of the joints in the URDF and in joint states, in the order of the data: arm after arm."""
-    return [f"{arm}_{joint}" for arm, own in physics.arms.items() for joint in joint_names(own.facts)]
+    return [
+        f"{arm}_{joint}" for arm, physics_of_arm in physics.arms.items() for joint in joint_names(physics_of_arm.facts)
+    ]
 
 
 def described_scene(urdf: str) -> tuple[dict[str, Any], list[str]]:
     """The scene of any URDF, and the names of its moving joints, in the order of the data.
 
-    A link is shown by its visual shapes; by its collision shapes if a visual mesh cannot be read (only STL can); or
-    else as sticks to its child joints.
+    A link is shown with its visual shapes; with its collision shapes if a visual mesh cannot be read; otherwise as
+    sticks to its child joints.
 
     Raises:
         InputError: It is no URDF of one robot.
@@ -116,9 +118,9 @@ def _link(joint: Xml.Element, end: str) -> str:
 
 def _origin(element: Xml.Element) -> dict[str, list[float]]:
     origin = element.find("origin")
-    found = {"xyz": "0 0 0", "rpy": "0 0 0"} | ({} if origin is None else origin.attrib)
-    turned = quaternion_of(pin.rpy.rpyToMatrix(*_vector(found["rpy"])))
-    return {"position": _vector(found["xyz"]), "quaternion": turned.tolist()}
+    attributes = {"xyz": "0 0 0", "rpy": "0 0 0"} | ({} if origin is None else origin.attrib)
+    quaternion = quaternion_of(pin.rpy.rpyToMatrix(*_vector(attributes["rpy"])))
+    return {"position": _vector(attributes["xyz"]), "quaternion": quaternion.tolist()}
 
 
 def _shapes(link: Xml.Element, kind: str = "visual") -> list[dict[str, Any]]:
@@ -128,20 +130,20 @@ def _shapes(link: Xml.Element, kind: str = "visual") -> list[dict[str, Any]]:
 
 
 def _shape(visual: Xml.Element) -> dict[str, Any] | None:
-    form, colour = visual.find("geometry/*"), visual.find("material/color")
-    if form is None:
+    geometry, colour = visual.find("geometry/*"), visual.find("material/color")
+    if geometry is None:
         return None
     rgba = DEFAULT_COLOUR if colour is None else colour.get("rgba", DEFAULT_COLOUR)
-    look = {"kind": form.tag, **_origin(visual), "colour": _numbers(rgba)[:3]}
-    if form.tag == "sphere":
-        return look | {"kind": "mesh"} | _ball(*_numbers(form.get("radius", "")))
-    if form.tag != "mesh":
-        return look | {name: _numbers(text) for name, text in form.attrib.items()}
-    surface = surface_of(form.get("filename", ""))
+    shape = {"kind": geometry.tag, **_origin(visual), "colour": _numbers(rgba)[:3]}
+    if geometry.tag == "sphere":
+        return shape | {"kind": "mesh"} | _ball(*_numbers(geometry.get("radius", "")))
+    if geometry.tag != "mesh":
+        return shape | {name: _numbers(text) for name, text in geometry.attrib.items()}
+    surface = surface_of(geometry.get("filename", ""))
     if surface is None:
         return None
-    scaled = surface.vertices * _numbers(form.get("scale", "1 1 1"))
-    return look | {"vertices": packed(scaled), "faces": packed(surface.faces.astype(float))}
+    scaled = surface.vertices * _numbers(geometry.get("scale", "1 1 1"))
+    return shape | {"vertices": packed(scaled), "faces": packed(surface.faces.astype(float))}
 
 
 def _object_shape(object_: ObjectPhysics) -> dict[str, Any]:
@@ -172,25 +174,25 @@ def _ball(radius: float, half_tube: float = 0.0) -> dict[str, Any]:
 
 def _sticks(robot: Xml.Element, link: Xml.Element) -> list[dict[str, Any]]:
     """Sticks from the origin of a link with unreadable shapes to its child joints."""
-    found = []
+    sticks = []
     if link.find("visual") is None:
         return []
     for joint in robot.findall("joint"):
         end = np.array(_origin(joint)["position"])
         length = float(np.linalg.norm(end))
         if _link(joint, "parent") == link.get("name") and length > STICK_RADIUS_M:
-            turned = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length)
-            pose = {"position": (0.5 * end).tolist(), "quaternion": turned.coeffs().tolist()}
+            rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length)
+            pose = {"position": (0.5 * end).tolist(), "quaternion": rotation.coeffs().tolist()}
             size = {"radius": [STICK_RADIUS_M], "length": [length]}
-            found.append({"kind": "cylinder", **pose, "colour": _numbers(DEFAULT_COLOUR)[:3], **size})
-    return found
+            sticks.append({"kind": "cylinder", **pose, "colour": _numbers(DEFAULT_COLOUR)[:3], **size})
+    return sticks
 
 
 def _vector(text: str) -> list[float]:
-    found = _numbers(text)
-    if len(found) != 3:
+    numbers = _numbers(text)
+    if len(numbers) != 3:
         raise ValueError(f"{text!r} where three numbers are expected")
-    return found
+    return numbers
 
 
 def _numbers(text: str) -> list[float]:

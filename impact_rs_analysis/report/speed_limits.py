@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of speed limits: allowed and planned speeds, what limits them, and a map over places of the hit."""
+"""Page of speed limits: allowed and planned speeds, their bounds, and a map over positions of the hit."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class SpeedLimitPage:
         title: Heading.
         answer: Result in a sentence.
         limits: Rows of the table.
-        kinds: Kinds of bounds that are known, with their names.
-        unknown: Names of the others.
+        kinds: Kinds with a bound, with their names.
+        unknown: Names of kinds without a bound.
         plots: Figures.
     """
 
@@ -49,14 +49,14 @@ class SpeedLimitPage:
 
 
 def write_limits(
-    scenario: Scenario, limits: Sequence[SpeedLimit], places: Sequence[PlacedLimit], directory: Path
+    scenario: Scenario, limits: Sequence[SpeedLimit], positions: Sequence[PlacedLimit], directory: Path
 ) -> Path:
     """Write ``limits.html``, ``limits.json`` and ``limits.csv``.
 
     Args:
         scenario: The scenario.
         limits: Limits of its objects and cases.
-        places: Limits at other places of the hit, row by row upwards; empty: none.
+        positions: Limits at other positions of the hit, row by row upwards; may be empty.
         directory: Folder of the report.
 
     Returns:
@@ -66,17 +66,17 @@ def write_limits(
         InputError: It cannot be written.
     """
     plots = [Plot("limits", limits_plot(limits), "Allowed closing speed by kind of bound; line: planned.")]
-    if places:
+    if positions:
         caption = (
             "Allowed closing speed [m/s] where the hit is moved along x and z, with pad, object and support; empty: "
             "the arm cannot hit there. 0, 0 is the place of the scenario. Red: slower than planned; blue: faster."
         )
-        plots.append(Plot("places", places_plot(places), caption, "Over places of the hit"))
-    slow = [one for one in limits if not one.allowed]
-    least = min(limits, key=lambda one: one.speed)
+        plots.append(Plot("places", places_plot(positions), caption, "Over places of the hit"))
+    too_fast = [limit for limit in limits if not limit.allowed]
+    slowest = min(limits, key=lambda limit: limit.speed)
     answer = (
-        f"{len(limits) - len(slow)} of {len(limits)} planned hits are allowed. The least is {least.speed:.3f} m/s "
-        f"({least.object_name}, {least.case_name}; {least.binding})."
+        f"{len(limits) - len(too_fast)} of {len(limits)} planned hits are allowed. The least is "
+        f"{slowest.speed:.3f} m/s ({slowest.object_name}, {slowest.case_name}; {slowest.binding})."
     )
     page = SpeedLimitPage(
         title=f"How fast may {scenario.name} hit?",
@@ -88,54 +88,59 @@ def write_limits(
     )
     files = {
         LIMITS_PAGE: render("speed_limits.html.j2", page),
-        LIMITS_DATA: json.dumps(limits_document(scenario, limits, places), indent=2, allow_nan=False) + "\n",
-        LIMITS_TABLE: _csv(limits, places),
+        LIMITS_DATA: json.dumps(limits_document(scenario, limits, positions), indent=2, allow_nan=False) + "\n",
+        LIMITS_TABLE: _csv(limits, positions),
     }
     return write_files(directory, files)[0]
 
 
-def limits_document(scenario: Scenario, limits: Sequence[SpeedLimit], places: Sequence[PlacedLimit]) -> dict[str, Any]:
+def limits_document(
+    scenario: Scenario, limits: Sequence[SpeedLimit], positions: Sequence[PlacedLimit]
+) -> dict[str, Any]:
     """Speed limits as JSON."""
     return {
         "scenario": scenario.name,
         "level": HOLD_PROBABILITY,
-        "limits": [one.to_json() for one in limits],
+        "limits": [entry.to_json() for entry in limits],
         "places": [
             {
-                "x_m": one.x,
-                "z_m": one.z,
-                "limit": None if one.limit is None else one.limit.to_json(),
-                **({"reason": one.reason} if one.reason else {}),
+                "x_m": entry.x,
+                "z_m": entry.z,
+                "limit": None if entry.limit is None else entry.limit.to_json(),
+                **({"reason": entry.reason} if entry.reason else {}),
             }
-            for one in places
+            for entry in positions
         ],
     }
 
 
 def limits_plot(limits: Sequence[SpeedLimit]) -> go.Figure:
     """Bars of the allowed speed by kind of bound, with the planned speed."""
-    names = [f"{one.object_name}, {one.case_name}" for one in limits]
+    names = [f"{limit.object_name}, {limit.case_name}" for limit in limits]
     figure = go.Figure(layout={"template": TEMPLATE, "barmode": "group"})
     for kind in KINDS:
         if kind in limits[0].by_kind:
-            speeds = [one.to_json()["by_kind_m_s"][kind] for one in limits]  # type: ignore[index]
+            speeds = [limit.to_json()["by_kind_m_s"][kind] for limit in limits]  # type: ignore[index]
             figure.add_bar(x=names, y=speeds, name=KIND_WORDS[kind], marker={"color": KIND_COLOURS[kind]})
-    planned = [one.planned for one in limits]
+    planned = [limit.planned for limit in limits]
     marker = {"symbol": "line-ew-open", "size": 30, "color": BLACK}
     figure.add_scatter(x=names, y=planned, mode="markers", name="planned", marker=marker)
     return figure.update_layout(height=400, yaxis={"title": {"text": "closing speed [m/s]"}, "rangemode": "tozero"})
 
 
-def places_plot(places: Sequence[PlacedLimit]) -> go.Figure:
-    """Map of the allowed speed over places of the hit, in colours of its share of the planned one, from 0 to 2."""
-    x, z = (sorted({getattr(one, axis) for one in places}) for axis in ("x", "z"))
-    found = {(one.x, one.z): one.limit for one in places if one.limit is not None}
-    grid = [[found.get((along, up)) for along in x] for up in z]
+def places_plot(positions: Sequence[PlacedLimit]) -> go.Figure:
+    """Map of the allowed speed over positions of the hit; the colour is its ratio to the planned speed, from 0 to 2."""
+    x, z = (sorted({getattr(limit, axis) for limit in positions}) for axis in ("x", "z"))
+    limits = {(limit.x, limit.z): limit.limit for limit in positions if limit.limit is not None}
+    grid = [[limits.get((x_value, z_value)) for x_value in x] for z_value in z]
     heat = go.Heatmap(
         x=x,
         y=z,
-        z=[[None if one is None else min(one.speed / one.planned, COLOUR_SCALE_END) for one in row] for row in grid],
-        text=[["" if one is None else _speed(one.speed) for one in row] for row in grid],
+        z=[
+            [None if limit is None else min(limit.speed / limit.planned, COLOUR_SCALE_END) for limit in row]
+            for row in grid
+        ],
+        text=[["" if limit is None else _speed(limit.speed) for limit in row] for row in grid],
         texttemplate="%{text}",
         hovertemplate="x %{x} m, z %{y} m: %{text} m/s<extra></extra>",
         colorscale=[[0.0, RED], [0.5, "#F7F7F7"], [1.0, SKY]],
@@ -153,16 +158,16 @@ def _speed(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "any"
 
 
-def _csv(limits: Sequence[SpeedLimit], places: Sequence[PlacedLimit]) -> str:
-    """All limits as a table, a row each."""
+def _csv(limits: Sequence[SpeedLimit], positions: Sequence[PlacedLimit]) -> str:
+    """All limits as CSV, one row per limit."""
     text = io.StringIO()
     kinds = [f"{kind} [m/s]" for kind in KINDS]
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["object", "case", "x [m]", "z [m]", "planned [m/s]", "limit [m/s]", *kinds, "nearest bound"])
-    rows = [(0.0, 0.0, one) for one in limits]
-    rows += [(one.x, one.z, one.limit) for one in places if one.limit is not None]
-    for x, z, one in rows:
-        speeds = [one.planned, one.speed, *(one.by_kind.get(kind, float("inf")) for kind in KINDS)]
+    rows = [(0.0, 0.0, limit) for limit in limits]
+    rows += [(limit.x, limit.z, limit.limit) for limit in positions if limit.limit is not None]
+    for x, z, limit in rows:
+        speeds = [limit.planned, limit.speed, *(limit.by_kind.get(kind, float("inf")) for kind in KINDS)]
         numbers = ["" if speed == float("inf") else f"{speed:.4f}" for speed in speeds]
-        table.writerow([one.object_name, one.case_name, f"{x:g}", f"{z:g}", *numbers, one.binding])
+        table.writerow([limit.object_name, limit.case_name, f"{x:g}", f"{z:g}", *numbers, limit.binding])
     return text.getvalue()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simplified meshes of a robot for a page, from STL, DAE and OBJ files of its URDF.
 
-Vertices that share a cell of a grid become one, their mean (Rossignac and Borrel 1993); the cells grow until few
-enough triangles are left. As viewers of ROS 2 do, a DAE file is read in its own unit of length, and its ``up_axis`` is
-ignored.
+The vertices in a cell of a grid are merged into their mean (Rossignac and Borrel 1993); the cells grow until the number
+of triangles is at most ``MAX_FACES``. As in the viewers of ROS 2, a DAE file has its own unit of length, and its
+``up_axis`` is ignored.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from impact_rs_sim.robots.robot import Array
 
 MAX_FACES = 1200  # per mesh; twenty such meshes are 0.5 MB of a page
 MAX_INITIAL_CELLS = 64  # along the longest side
-COARSENING_FACTOR = 0.8  # on the number of cells of the next try
-MAX_MESH_BYTES = 50_000_000  # of a file; a larger mesh is shown as the simple shape
+COARSENING_FACTOR = 0.8  # ratio of the numbers of cells in successive attempts
+MAX_MESH_BYTES = 50_000_000  # of a file; a larger mesh is replaced by a simple shape
 HEADER, RECORD = 84, 50  # bytes, of a binary STL
 COAL_SUFFIXES = (".dae", ".obj")  # loaded by coal, which comes with Pinocchio
 UNIT = re.compile(rb"""<unit\b[^>]*\bmeter\s*=\s*["']([^"']+)""")  # of a DAE file [m]
@@ -57,14 +57,14 @@ def surface_of(address: str) -> Surface | None:
 
 
 def _corners(data: bytes) -> Array:
-    """Corners of the triangles of an STL file, binary or text, ``(f, 3, 3)``; none of another file."""
+    """Corners of the triangles of an STL file, binary or text, ``(f, 3, 3)``; empty for another file."""
     count = int.from_bytes(data[HEADER - 4 : HEADER], "little")
     if len(data) == HEADER + RECORD * count:
         kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
         return np.frombuffer(data, kind, offset=HEADER)["corners"].astype(float)
     if not data.lstrip().startswith(b"solid"):
         return np.zeros((0, 3, 3))
-    return np.array([[float(word) for word in found] for found in VERTEX.findall(data)]).reshape(-1, 3, 3)
+    return np.array([[float(word) for word in coordinates] for coordinates in VERTEX.findall(data)]).reshape(-1, 3, 3)
 
 
 def _loaded(path: Path) -> Array:
@@ -72,9 +72,9 @@ def _loaded(path: Path) -> Array:
     mesh = coal.MeshLoader().load(str(path), np.ones(3))
     triangles = (mesh.tri_indices(row) for row in range(mesh.num_tris))
     faces = [[triangle[corner] for corner in range(3)] for triangle in triangles]
-    found = UNIT.search(path.read_bytes()) if path.suffix.lower() == ".dae" else None
-    size = 1.0 if found is None else float(found[1])
-    return size * np.asarray(mesh.vertices()).reshape(-1, 3)[np.array(faces, dtype=int).reshape(-1, 3)]
+    unit = UNIT.search(path.read_bytes()) if path.suffix.lower() == ".dae" else None
+    scale = 1.0 if unit is None else float(unit[1])
+    return scale * np.asarray(mesh.vertices()).reshape(-1, 3)[np.array(faces, dtype=int).reshape(-1, 3)]
 
 
 def _coarse(corners: Array) -> Surface:
@@ -85,12 +85,12 @@ def _coarse(corners: Array) -> Surface:
         grid = np.floor((points - low) / side * cells).astype(int)
         _, rows = np.unique(grid, axis=0, return_inverse=True)
         faces = rows.reshape(-1, 3)
-        whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+        not_degenerate = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
         _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-        kept = faces[[row for row in first if whole[row]]]
-        if len(kept) <= MAX_FACES:
+        remaining = faces[[row for row in first if not_degenerate[row]]]
+        if len(remaining) <= MAX_FACES:
             break
         cells *= COARSENING_FACTOR
     sums = np.zeros((rows.max() + 1, 3))
     np.add.at(sums, rows.ravel(), points)
-    return Surface(sums / np.bincount(rows.ravel())[:, None], kept)
+    return Surface(sums / np.bincount(rows.ravel())[:, None], remaining)

@@ -53,8 +53,8 @@ class TrialPage:
     Attributes:
         title: Heading.
         facts: Facts about the run, as pairs of a term and a text.
-        notes: Remarks on how it was read.
-        jumps: Velocities before and after it.
+        notes: Remarks of the reader.
+        jumps: Velocities before and after the impact.
         replay: The run in 3D.
         plots: Figures over time.
     """
@@ -102,46 +102,53 @@ def trial_page(bag: TrialBag) -> TrialPage:
     return _page(f"Trial {bag.path.name}", facts, (), track)
 
 
-def write_run(run: Run, path: Path, beside: Track | None = None, model: str = "") -> Path:
+def write_run(run: Run, path: Path, replayed: Track | None = None, model: str = "") -> Path:
     """Write the page of a run of another controller.
 
     Args:
         run: The run.
         path: The page; an earlier one is replaced.
-        beside: As for :func:`run_page`.
+        replayed: As for :func:`run_page`.
         model: As for :func:`run_page`.
 
     Raises:
         InputError: The page cannot be written.
     """
-    return _write(run_page(run, beside, model), path)
+    return _write(run_page(run, replayed, model), path)
 
 
-def run_page(run: Run, beside: Track | None = None, model: str = "") -> TrialPage:
+def run_page(run: Run, replayed: Track | None = None, model: str = "") -> TrialPage:
     """Content of the page of a run of another controller.
 
     Args:
         run: The run.
-        beside: The run beside its replay; None: the whole run alone.
-        model: Name of the model of that replay.
+        replayed: The run with its replay by a model; None: the whole run without a model.
+        model: Name of the model of the replay.
     """
-    track = track_of_recording(run) if beside is None else replace(beside, label=run.name)
+    track = track_of_recording(run) if replayed is None else replace(replayed, label=run.name)
     scenario, object_name, condition = run.condition_key
-    what = f"{object_name} is hit" if run.hit else "free motion"
+    motion = f"{object_name} is hit" if run.hit else "free motion"
     signals = run.signals
     recorded = [f"joints at {1.0 / run.period:.0f} Hz for {number_text(float(signals.time[-1]))} s"]
     if run.hit:
-        seen = signals.object_time.size
-        tracked = 1.0 / float(np.median(np.diff(signals.object_time))) if seen > 1 else 0.0
-        recorded.append(f"object tracked at {tracked:.0f} Hz" if seen > 1 else "the object was not tracked")
-    facts = [("Run", f"{what}{f', {condition}' if condition else ''}; scenario {scenario}")]
+        sample_count = signals.object_time.size
+        tracked = 1.0 / float(np.median(np.diff(signals.object_time))) if sample_count > 1 else 0.0
+        recorded.append(f"object tracked at {tracked:.0f} Hz" if sample_count > 1 else "the object was not tracked")
+    facts = [("Run", f"{motion}{f', {condition}' if condition else ''}; scenario {scenario}")]
     facts.append(("Recorded", ", ".join(recorded)))
     if run.hit:
-        begin = track.impact
-        found = "none was found" if begin is None else f"found at {begin:.3f} s after the first sample"
-        facts.append(("Impact", found))
-    if beside is not None:
-        facts.append(("Model", f"{model}, from the measured state at the begin of every window; the rest is left out"))
+        impact_time = track.impact
+        impact_text = (
+            "none was found" if impact_time is None else f"found at {impact_time:.3f} s after the first sample"
+        )
+        facts.append(("Impact", impact_text))
+    if replayed is not None:
+        facts.append(
+            (
+                "Model",
+                f"{model}, from the measured state at the beginning of every window; the rest is left out",
+            )
+        )
     return _page(f"Run {run.name}", tuple(facts), run.remarks, track)
 
 
@@ -174,27 +181,33 @@ def trial_plots(track: Track) -> list[Plot]:
     """Velocity of the end effector, joint velocities and joint positions, arm by arm."""
     assert track.physics is not None and track.measured is not None
     shown = shown_rows(track, *MIN_CURVE_PERIODS_S)
-    found = []
-    for number, (arm, own) in enumerate(track.physics.arms.items()):
+    plots = []
+    for number, (arm, physics_of_arm) in enumerate(track.physics.arms.items()):
         of_arm = f" of {arm}" if len(track.physics.arms) > 1 else ""
-        moved, units = track.measured.arms[arm], own.facts.units
-        joints = [f"joint {joint + 1}" for joint in range(own.facts.joint_count)]
-        position, velocity = (joined_units(unit) for unit in ([u.position for u in units], [u.velocity for u in units]))
+        signals, units = track.measured.arms[arm], physics_of_arm.facts.units
+        joints = [f"joint {joint + 1}" for joint in range(physics_of_arm.facts.joint_count)]
+        position, velocity = (
+            joined_units(unit)
+            for unit in (
+                [joint_units.position for joint_units in units],
+                [joint_units.velocity for joint_units in units],
+            )
+        )
         for name, title, unit, labels, values in (
             (
                 "velocity",
                 f"Velocity of the end effector{of_arm}",
                 "m/s",
                 list("xyz"),
-                moved.twist[:, :3] if moved.twist.size else NONE,
+                signals.twist[:, :3] if signals.twist.size else NONE,
             ),
-            ("dq", f"Joint velocities{of_arm}", velocity, joints, moved.velocity),
-            ("q", f"Joint positions{of_arm}", position, joints, moved.position),
+            ("dq", f"Joint velocities{of_arm}", velocity, joints, signals.velocity),
+            ("q", f"Joint positions{of_arm}", position, joints, signals.position),
         ):
             if values.size:
                 drawn = _over_time(track, shown, values, labels, unit)
-                found.append(Plot(f"{name}-{number}", drawn, title=title, zoom=True, run=0))
-    return found
+                plots.append(Plot(f"{name}-{number}", drawn, title=title, zoom=True, run=0))
+    return plots
 
 
 def _over_time(track: Track, shown: NDArray[np.int64], values: Array, labels: list[str], unit: str) -> go.Figure:

@@ -2,8 +2,8 @@
 """Evidence package: the diagnosis of one laboratory on one data set, for others to verify and merge.
 
 One JSON file holds the model that was diagnosed, the diagnosis, the digest of every file of the measurements, versions,
-and who measured what. Measurements stay where they are. A seal, the digest of everything else, reveals changes by
-accident; it is no signature.
+and who measured what. Measurements stay where they are. A seal, the digest of everything else, reveals accidental
+changes; it is no signature.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class EvidencePackage(Schema):
 
     format: int = Field(1, ge=1, le=1, description="version of this format")
     laboratory: str = Field(min_length=1, description="who measured")
-    robot: str = Field(min_length=1, description="which robot: kind, and the one of several")
+    robot: str = Field(min_length=1, description="which robot: kind and serial number or name")
     object: str = Field(min_length=1, description="which object was hit; 'none' in free motion")
     note: str = Field("", description="remarks of the laboratory")
     versions: dict[str, str] = Field(description="versions of program and libraries")
@@ -63,17 +63,17 @@ class EvidencePackage(Schema):
         return self.model_copy(update={"seal": self._digest()})
 
     def repeats(self, other: EvidencePackage) -> float:
-        """Share of the measurements that the other package has as well, in bytes of the smaller of both [-].
+        """Share of the measurements in both packages, relative to the bytes of the smaller one [-].
 
-        Files are compared by their digests, names do not count; measurements that were written anew are not found.
+        Files are compared by their digests, not by their names; measurements that were written anew are not found.
         """
-        own, theirs = self._bytes(), other._bytes()
-        common = sum(own[digest] for digest in own.keys() & theirs.keys())
-        return common / max(min(sum(own.values()), sum(theirs.values())), 1)
+        sizes, other_sizes = self._bytes(), other._bytes()
+        common = sum(sizes[digest] for digest in sizes.keys() & other_sizes.keys())
+        return common / max(min(sum(sizes.values()), sum(other_sizes.values())), 1)
 
     def _bytes(self) -> dict[str, int]:
-        """Size of every file by its digest; an empty one counts as one byte."""
-        return {one.sha256: max(one.size, 1) for one in self.data}
+        """Size of every file by its digest [byte]; at least 1, also for an empty file."""
+        return {file.sha256: max(file.size, 1) for file in self.data}
 
     @property
     def intact(self) -> bool:
@@ -120,10 +120,10 @@ def make_package(
         robot: Which robot.
         object_name: Which object.
         note: Remarks.
-        progress: Called with the number of files read, and of all files.
+        progress: Called with the number of files read and the number of all files.
 
     Raises:
-        InputError: The diagnosis is of another model or of other trials, or there are no measurements.
+        InputError: The diagnosis belongs to another model or to other trials, or there are no measurements.
     """
     _check_model(diagnosis, model)
     _check_trials(diagnosis, data)
@@ -153,33 +153,33 @@ def _check_model(diagnosis: DiagnosisDocument, model: Model) -> None:
 
 
 def _check_trials(diagnosis: DiagnosisDocument, data: Path) -> None:
-    """Check for the trials of the diagnosis; digests of a part, and of runs of another controller, are not compared."""
-    options, wanted = diagnosis.options, diagnosis.runs.digest
-    if not wanted or "runs" not in options or options.keys() & {"since", "experiment"} or experiment_file_in(data):
+    """Check that these are the trials of the diagnosis; a part, or runs of another controller, are not checked."""
+    options, diagnosed = diagnosis.options, diagnosis.runs.digest
+    if not diagnosed or "runs" not in options or options.keys() & {"since", "experiment"} or experiment_file_in(data):
         return
-    if (digest := runs_digest(data)) != wanted:
+    if (digest := runs_digest(data)) != diagnosed:
         raise InputError(
-            f"these are not the trials of the diagnosis (digest {digest}, expected {wanted}); give the folder that was "
-            "diagnosed",
+            f"these are not the trials of the diagnosis (digest {digest}, expected {diagnosed}); give the folder "
+            "that was diagnosed",
             file=data,
         )
 
 
 def digests_of(data: Path, progress: Callable[[int, int], None] = lambda *_: None) -> tuple[FileDigest, ...]:
-    """Digests of a file, or of all files below a folder but hidden ones; linked folders are followed.
+    """Digests of a file, or of all files below a folder except hidden ones; linked folders are followed.
 
     Raises:
-        InputError: There is no file, or one cannot be read.
+        InputError: There is no file, or a file cannot be read.
     """
     if data.is_file():
         root, files = data.parent, [data]
     else:
         root = data
-        shown = (folder / name for folder, names in folders_below(data) for name in names if not name.startswith("."))
-        files = sorted(path for path in shown if path.is_file())
+        visible = (folder / name for folder, names in folders_below(data) for name in names if not name.startswith("."))
+        files = sorted(path for path in visible if path.is_file())
     if not files:
         raise InputError("no measurements here; expected the file or folder that was diagnosed", file=data)
-    found = []
+    digests = []
     for number, path in enumerate(files, start=1):
         try:
             with path.open("rb") as file:
@@ -187,9 +187,9 @@ def digests_of(data: Path, progress: Callable[[int, int], None] = lambda *_: Non
             size = path.stat().st_size
         except OSError as error:
             raise InputError(f"cannot be read: {error.strerror or error}", file=path) from None
-        found.append(FileDigest(path=path.relative_to(root).as_posix(), size=size, sha256=digest.hexdigest()))
+        digests.append(FileDigest(path=path.relative_to(root).as_posix(), size=size, sha256=digest.hexdigest()))
         progress(number, len(files))
-    return tuple(found)
+    return tuple(digests)
 
 
 def write_package(package: EvidencePackage, path: Path) -> None:
@@ -202,7 +202,7 @@ def write_package(package: EvidencePackage, path: Path) -> None:
 
 
 def read_package(path: Path) -> EvidencePackage:
-    """Read a package; nothing is checked but its form.
+    """Read a package; only its format is checked.
 
     Raises:
         InputError: The file is missing or no package.
@@ -218,39 +218,41 @@ def read_package(path: Path) -> EvidencePackage:
 def check_package(
     package: EvidencePackage, data: Path | None, progress: Callable[[int, int], None] = lambda *_: None
 ) -> list[PackageCheck]:
-    """Check a package, with its measurements where they are at hand.
+    """Check a package, and its measurements if they are at hand.
 
     Args:
         package: The package.
         data: Folder or file of the measurements; None: not at hand.
-        progress: As of :func:`digests_of`.
+        progress: As for :func:`digests_of`.
 
     Raises:
         InputError: The measurements cannot be read.
     """
     checks = [PackageCheck("seal", package.intact, "as packed" if package.intact else "the content was changed")]
     same = package.model.digest == package.diagnosis.model.digest
-    found = package.model.digest if same else f"{package.model.digest}, diagnosed: {package.diagnosis.model.digest}"
-    checks.append(PackageCheck("model is the one diagnosed", same, found))
-    known = {effect.name for effect in package.diagnosis.effects}
-    unknown = [name for name in package.diagnosis.named if name not in known]
+    model_words = (
+        package.model.digest if same else f"{package.model.digest}, diagnosed: {package.diagnosis.model.digest}"
+    )
+    checks.append(PackageCheck("model is the one diagnosed", same, model_words))
+    effects = {effect.name for effect in package.diagnosis.effects}
+    unknown = [name for name in package.diagnosis.named if name not in effects]
     checks.append(
         PackageCheck(
             "named effects have estimates", not unknown, ", ".join(unknown or package.diagnosis.named) or "none named"
         )
     )
     if data is not None:
-        there = {one.path: one.sha256 for one in digests_of(data, progress)}
-        wanted = {one.path: one.sha256 for one in package.data}
-        wrong = {
-            "missing": sorted(wanted.keys() - there.keys()),
-            "not in the package": sorted(there.keys() - wanted.keys()),
-            "changed": sorted(path for path in wanted.keys() & there.keys() if wanted[path] != there[path]),
+        measured = {file.path: file.sha256 for file in digests_of(data, progress)}
+        packed = {file.path: file.sha256 for file in package.data}
+        problems = {
+            "missing": sorted(packed.keys() - measured.keys()),
+            "not in the package": sorted(measured.keys() - packed.keys()),
+            "changed": sorted(path for path in packed.keys() & measured.keys() if packed[path] != measured[path]),
         }
         words = "; ".join(
-            f"{what}: {', '.join(paths[:3])}{' ...' if len(paths) > 3 else ''}"
-            for what, paths in wrong.items()
+            f"{problem}: {', '.join(paths[:3])}{' ...' if len(paths) > 3 else ''}"
+            for problem, paths in problems.items()
             if paths
         )
-        checks.append(PackageCheck("measurements", not words, words or f"{len(wanted)} files as packed"))
+        checks.append(PackageCheck("measurements", not words, words or f"{len(packed)} files as packed"))
     return checks

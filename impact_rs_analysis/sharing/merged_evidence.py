@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meta-analysis of several evidence packages, parameter by parameter.
 
-Packages of the same measurements are one piece of evidence, whatever laboratories they name: they are refused, by the
-digests of their files. Packages that have less than half of their measurements in common are named.
+Packages of the same measurements are one piece of evidence, whichever laboratory they name: digests of the files reveal
+them, and they are refused. Packages that share less than half of their measurements are listed.
 
 A parameter of an effect is pooled over all packages that estimate it (:mod:`impact_rs_analysis.sharing.meta_analysis`);
-a standard error is the width of the 95 % interval over 2 x 1.96, whatever its place about the estimate.
+a standard error is the width of the 95 % interval over 2 x 1.96, also for an interval that is not symmetric.
 
-Outlier laboratories come first: their studentised residual from all other laboratories has a p-value that, times the
-number of residuals tested (Bonferroni), is below ``ODD_SIGNIFICANCE``, and others have measured the same robot and
-object. They are named, excluded from that parameter, and the test is repeated as long as three packages are left.
+Outlier laboratories come first. An outlier has a studentised residual from all other laboratories whose p-value, times
+the number of tested residuals (Bonferroni), is below ``ODD_SIGNIFICANCE``, and other laboratories have measured the
+same robot and the same object. It is excluded from that parameter, and the test is repeated while more than three
+packages remain.
 
-Then the heterogeneity Q that is left is divided by robot, object and laboratory. A parameter *belongs* to what leaves
-none within its groups: Q within them is not significant, Q between them is. A robot or object that one laboratory alone
-has measured does not show whether it or the laboratory is different, and both are named. Where Q is not significant,
-the parameter is shared.
+Then the remaining heterogeneity Q is divided by robot, object and laboratory. A parameter *belongs* to a factor if Q
+between the groups of the factor is significant and Q within the groups is not. If one laboratory alone has measured a
+robot or object, either the robot or the laboratory may be different, and both are named. If Q is not significant, the
+parameter is shared.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ HETEROGENEITY_SIGNIFICANCE = 0.01  # p of Q below which packages differ
 FACTORS = ("robot", "object", "laboratory")
 SHARED_PARAMETER = "shared"
 UNCLEAR_PARAMETER = "unclear"
-# Of its measurements, from which a package repeats another one; files beside them may be equal
+# Share of its measurements from which a package repeats another one; a few other files may be equal
 MIN_REPEATED_SHARE = 0.5
 MIN_STUDIES = 3  # packages of a parameter, below which no package is called odd
 
@@ -63,9 +64,9 @@ class Contribution(Schema):
     ci95: tuple[float, float] = Field(description="95 % interval, in the unit")
     verdict: DiagnosisVerdict = Field(description="verdict of the package on the effect")
     residual: float | None = Field(
-        description="studentised leave-one-out residual [-]; null: fewer than three packages"
+        description="studentised residual [-]; null: fewer than two packages of other laboratories"
     )
-    odd: bool = Field(False, description="whether it was left out because it does not agree with the others")
+    odd: bool = Field(False, description="whether it is an outlier and was left out")
 
 
 class MergedParameter(Schema):
@@ -103,7 +104,7 @@ class MergedEvidence(Schema):
 
 @dataclass(frozen=True)
 class _Study:
-    """One package's estimate of a parameter."""
+    """Estimate of a parameter in one package."""
 
     package: EvidencePackage
     effect: str
@@ -129,24 +130,27 @@ def merge_packages(packages: Sequence[EvidencePackage]) -> MergedEvidence:
         packages: Two or more, of diagnoses of one model.
 
     Raises:
-        InputError: There are fewer than two, one was changed or is given twice, two hold the same measurements, or they
-            diagnosed different models.
+        InputError: There are fewer than two packages, a package was changed or is given twice, two hold the same
+            measurements, or they diagnosed different models.
     """
     in_common = _check_mergeable(packages)
     named = {name for package in packages for name in package.diagnosis.named}
     studies, left_out = _studies(packages, named)
-    kept, odd = _without_odd(studies)
-    parameters, odd_laboratories = [], defaultdict(list)
-    for key, own in studies.items():
-        parameters.append(_merged(own, kept[key], odd.get(key, {})))
-        for study in odd.get(key, {}):
-            odd_laboratories[own[study].package.laboratory].append(".".join(key))
+    consistent, outliers = _without_outliers(studies)
+    parameters, outlier_laboratories = [], defaultdict(list)
+    for key, group in studies.items():
+        parameters.append(_merged(group, consistent[key], outliers.get(key, {})))
+        for study in outliers.get(key, {}):
+            outlier_laboratories[group[study].package.laboratory].append(".".join(key))
     return MergedEvidence(
         packages=tuple(package.name for package in packages),
         seals=tuple(package.seal for package in packages),
         model=packages[0].model.digest,
         parameters=tuple(parameters),
-        odd={laboratory: tuple(dict.fromkeys(where)) for laboratory, where in sorted(odd_laboratories.items())},
+        odd={
+            laboratory: tuple(dict.fromkeys(parameter_names))
+            for laboratory, parameter_names in sorted(outlier_laboratories.items())
+        },
         left_out=tuple(left_out),
         in_common=in_common,
     )
@@ -170,23 +174,23 @@ def _check_mergeable(packages: Sequence[EvidencePackage]) -> tuple[str, ...]:
             f"the packages diagnose different models, whose estimates cannot be compared ({listed}); diagnose one model"
         )
     in_common = []
-    for one, other in combinations(packages, 2):
-        share = one.repeats(other)
+    for first, second in combinations(packages, 2):
+        share = first.repeats(second)
         if share >= MIN_REPEATED_SHARE:
             raise InputError(
-                f"the packages of {one.name} and of {other.name} hold the same measurements ({share:.0%} of their "
+                f"the packages of {first.name} and of {second.name} hold the same measurements ({share:.0%} of their "
                 "bytes, by SHA-256): they are one piece of evidence, not two; give one of them"
             )
         if share > 0.0:
-            in_common.append(f"{one.name}, and {other.name}: {share:.1%} of the bytes of their measurements")
+            in_common.append(f"{first.name}, and {second.name}: {share:.1%} of the bytes of their measurements")
     return tuple(in_common)
 
 
 def _studies(
     packages: Sequence[EvidencePackage], named: set[str]
 ) -> tuple[dict[tuple[str, str], list[_Study]], list[str]]:
-    """Estimates by effect and parameter, of effects that some package names; and what cannot be merged."""
-    found: dict[tuple[str, str], list[_Study]] = defaultdict(list)
+    """Estimates by effect and parameter, for effects that some package names; and estimates that cannot be merged."""
+    by_parameter: dict[tuple[str, str], list[_Study]] = defaultdict(list)
     left_out = []
     for package in packages:
         for effect in package.diagnosis.effects:
@@ -205,92 +209,96 @@ def _studies(
                     continue
                 assert value.ci95 is not None
                 study = _Study(package, effect.name, name, value.unit, value.estimate, value.ci95, effect.verdict)
-                found[effect.name, name].append(study)
-    result = {}
-    for key, own in found.items():
-        if len(own) < 2:
-            left_out.append(f"{own[0].package.name}: {'.'.join(key)}: no other package estimates it")
-        elif len({study.unit for study in own}) > 1:
-            left_out.append(f"{'.'.join(key)}: its units differ ({', '.join(sorted({s.unit for s in own}))})")
+                by_parameter[effect.name, name].append(study)
+    mergeable = {}
+    for key, studies in by_parameter.items():
+        if len(studies) < 2:
+            left_out.append(f"{studies[0].package.name}: {'.'.join(key)}: no other package estimates it")
+        elif len({study.unit for study in studies}) > 1:
+            left_out.append(f"{'.'.join(key)}: its units differ ({', '.join(sorted({s.unit for s in studies}))})")
         else:
-            result[key] = own
-    return result, left_out
+            mergeable[key] = studies
+    return mergeable, left_out
 
 
-def _without_odd(
+def _without_outliers(
     studies: Mapping[tuple[str, str], list[_Study]],
 ) -> tuple[dict[tuple[str, str], list[int]], dict[tuple[str, str], dict[int, float]]]:
     """Indices of consistent studies, and of outliers with their studentised residuals, by parameter."""
-    kept = {key: list(range(len(own))) for key, own in studies.items()}
-    looked_at = sum(len(own) for own in studies.values() if len(own) > MIN_STUDIES)
-    odd: dict[tuple[str, str], dict[int, float]] = defaultdict(dict)
-    laboratories = sorted({study.package.laboratory for own in studies.values() for study in own})
+    consistent = {key: list(range(len(group))) for key, group in studies.items()}
+    tested_count = sum(len(group) for group in studies.values() if len(group) > MIN_STUDIES)
+    outliers: dict[tuple[str, str], dict[int, float]] = defaultdict(dict)
+    laboratories = sorted({study.package.laboratory for group in studies.values() for study in group})
     while True:
-        found = []
+        tests = []
         for laboratory in laboratories:
-            dispersion, freedom = _dispersion(studies, kept, laboratory)
-            for key, own in studies.items():
-                if len(kept[key]) <= MIN_STUDIES:
+            dispersion, degrees_of_freedom = _dispersion(studies, consistent, laboratory)
+            for key, group in studies.items():
+                if len(consistent[key]) <= MIN_STUDIES:
                     continue
-                for index in kept[key]:
-                    if own[index].package.laboratory == laboratory and _alone(own, kept[key], index):
-                        size = _residual(own, kept[key], index, dispersion)
-                        p_value = 2.0 * float(scipy.stats.t.sf(abs(size), max(freedom, 1))) * looked_at
-                        found.append((p_value, key, index, size))
-        if not found or (worst := min(found, key=lambda one: (one[0], -abs(one[3]))))[0] >= ODD_SIGNIFICANCE:
-            return kept, odd
-        _, key, index, size = worst
-        kept[key].remove(index)
-        odd[key][index] = size
+                for index in consistent[key]:
+                    if group[index].package.laboratory == laboratory and _comparable(group, consistent[key], index):
+                        studentised = _residual(group, consistent[key], index, dispersion)
+                        p_value = (
+                            2.0 * float(scipy.stats.t.sf(abs(studentised), max(degrees_of_freedom, 1))) * tested_count
+                        )
+                        tests.append((p_value, key, index, studentised))
+        if not tests or (worst := min(tests, key=lambda test: (test[0], -abs(test[3]))))[0] >= ODD_SIGNIFICANCE:
+            return consistent, outliers
+        _, key, index, studentised = worst
+        consistent[key].remove(index)
+        outliers[key][index] = studentised
 
 
 def _dispersion(
-    studies: Mapping[tuple[str, str], list[_Study]], kept: Mapping[tuple[str, str], list[int]], laboratory: str
+    studies: Mapping[tuple[str, str], list[_Study]], consistent: Mapping[tuple[str, str], list[int]], laboratory: str
 ) -> tuple[float, int]:
-    """Mean square deviation of the other laboratories over their errors, with its degrees of freedom.
+    """Dispersion h^2 of the other laboratories, with its degrees of freedom.
 
     Parameters in which they differ are left out.
     """
-    total, freedom = 0.0, 0
-    for key, own in studies.items():
-        others = [index for index in kept[key] if own[index].package.laboratory != laboratory]
-        if len(others) < 2:
+    total, degrees_of_freedom = 0.0, 0
+    for key, group in studies.items():
+        other_indices = [index for index in consistent[key] if group[index].package.laboratory != laboratory]
+        if len(other_indices) < 2:
             continue
-        q, _, _ = heterogeneity(*_numbers(own, others))
-        if float(scipy.stats.chi2.sf(q, len(others) - 1)) > HETEROGENEITY_SIGNIFICANCE:
-            total, freedom = total + q, freedom + len(others) - 1
-    return (total / freedom if freedom else 1.0), freedom
+        q, _, _ = heterogeneity(*_numbers(group, other_indices))
+        if float(scipy.stats.chi2.sf(q, len(other_indices) - 1)) > HETEROGENEITY_SIGNIFICANCE:
+            total, degrees_of_freedom = total + q, degrees_of_freedom + len(other_indices) - 1
+    return (total / degrees_of_freedom if degrees_of_freedom else 1.0), degrees_of_freedom
 
 
-def _residual(own: Sequence[_Study], kept: Sequence[int], index: int, dispersion: float = 1.0) -> float:
+def _residual(studies: Sequence[_Study], consistent: Sequence[int], index: int, dispersion: float = 1.0) -> float:
     """Studentised residual of a study from the studies of other laboratories; nan with fewer than two."""
-    study = own[index]
-    others = [other for other in kept if own[other].package.laboratory != study.package.laboratory]
-    return residual(study.value, study.error, *_numbers(own, others), dispersion)
+    study = studies[index]
+    other_indices = [
+        other_index for other_index in consistent if studies[other_index].package.laboratory != study.package.laboratory
+    ]
+    return residual(study.value, study.error, *_numbers(studies, other_indices), dispersion)
 
 
-def _alone(own: Sequence[_Study], kept: Sequence[int], worst: int) -> bool:
-    """Whether only the laboratory distinguishes a study: others share its robot and its object."""
-    study = own[worst]
-    others = [own[index] for index in kept if own[index].package.laboratory != study.package.laboratory]
+def _comparable(studies: Sequence[_Study], consistent: Sequence[int], index_of_study: int) -> bool:
+    """Whether other laboratories have measured the robot and the object of a study."""
+    study = studies[index_of_study]
+    others = [studies[index] for index in consistent if studies[index].package.laboratory != study.package.laboratory]
     return all(any(other.label(factor) == study.label(factor) for other in others) for factor in ("robot", "object"))
 
 
-def _numbers(own: Sequence[_Study], indices: Sequence[int]) -> tuple[list[float], list[float]]:
-    return [own[index].value for index in indices], [own[index].error for index in indices]
+def _numbers(studies: Sequence[_Study], indices: Sequence[int]) -> tuple[list[float], list[float]]:
+    return [studies[index].value for index in indices], [studies[index].error for index in indices]
 
 
-def _merged(own: Sequence[_Study], kept: Sequence[int], odd: Mapping[int, float]) -> MergedParameter:
+def _merged(studies: Sequence[_Study], consistent: Sequence[int], outliers: Mapping[int, float]) -> MergedParameter:
     """One parameter."""
-    values, errors = _numbers(own, kept)
+    values, errors = _numbers(studies, consistent)
     pooled = pool(values, errors)
     belongs_to: tuple[str, ...] = (SHARED_PARAMETER,)
     groups: dict[str, MergedEstimate] = {}
     if pooled.p_value < HETEROGENEITY_SIGNIFICANCE:
-        belongs_to = _belongs_to(own, kept, pooled.q) or (UNCLEAR_PARAMETER,)
+        belongs_to = _belongs_to(studies, consistent, pooled.q) or (UNCLEAR_PARAMETER,)
         if belongs_to != (UNCLEAR_PARAMETER,):
-            groups = _groups(own, kept, belongs_to[0])
-    left = {index: _residual(own, kept, index) for index in kept}
+            groups = _groups(studies, consistent, belongs_to[0])
+    residuals = {index: _residual(studies, consistent, index) for index in consistent}
     contributions = [
         Contribution(
             laboratory=study.package.laboratory,
@@ -299,15 +307,15 @@ def _merged(own: Sequence[_Study], kept: Sequence[int], odd: Mapping[int, float]
             estimate=study.value,
             ci95=study.ci95,
             verdict=study.verdict,
-            residual=None if np.isnan(r := odd.get(index, left.get(index, np.nan))) else r,
-            odd=index in odd,
+            residual=None if np.isnan(value := outliers.get(index, residuals.get(index, np.nan))) else value,
+            odd=index in outliers,
         )
-        for index, study in enumerate(own)
+        for index, study in enumerate(studies)
     ]
     return MergedParameter(
-        effect=own[0].effect,
-        parameter=own[0].parameter,
-        unit=own[0].unit,
+        effect=studies[0].effect,
+        parameter=studies[0].parameter,
+        unit=studies[0].unit,
         belongs_to=belongs_to,
         pooled=MergedEstimate(estimate=pooled.mean, ci95=(pooled.low, pooled.high), packages=pooled.studies),
         between=pooled.tau,
@@ -318,46 +326,46 @@ def _merged(own: Sequence[_Study], kept: Sequence[int], odd: Mapping[int, float]
     )
 
 
-def _belongs_to(own: Sequence[_Study], kept: Sequence[int], q: float) -> tuple[str, ...]:
+def _belongs_to(studies: Sequence[_Study], consistent: Sequence[int], q: float) -> tuple[str, ...]:
     """Factors that explain the heterogeneity of the packages."""
-    values, errors = _numbers(own, kept)
-    found = []
+    values, errors = _numbers(studies, consistent)
+    factors = []
     for factor in FACTORS:
-        labels = [own[index].label(factor) for index in kept]
+        labels = [studies[index].label(factor) for index in consistent]
         count = len(set(labels))
         if count < 2:
             continue
-        within, freedom = within_groups(values, errors, labels)
-        between = float(scipy.stats.chi2.sf(q - within, count - 1))
-        rest = float(scipy.stats.chi2.sf(within, freedom)) if freedom else 1.0
-        if between < HETEROGENEITY_SIGNIFICANCE <= rest:
-            found.append(factor)
-    of_bodies = [factor for factor in found if factor != "laboratory"]
-    decided = [factor for factor in of_bodies if _apart_from_laboratories(own, kept, factor)]
-    return tuple(decided or found)
+        within, degrees_of_freedom = within_groups(values, errors, labels)
+        p_between = float(scipy.stats.chi2.sf(q - within, count - 1))
+        p_within = float(scipy.stats.chi2.sf(within, degrees_of_freedom)) if degrees_of_freedom else 1.0
+        if p_between < HETEROGENEITY_SIGNIFICANCE <= p_within:
+            factors.append(factor)
+    robot_or_object = [factor for factor in factors if factor != "laboratory"]
+    decided = [factor for factor in robot_or_object if _apart_from_laboratories(studies, consistent, factor)]
+    return tuple(decided or factors)
 
 
-def _apart_from_laboratories(own: Sequence[_Study], kept: Sequence[int], factor: str) -> bool:
-    """Whether robots, or objects, differ that two laboratories or more have measured."""
+def _apart_from_laboratories(studies: Sequence[_Study], consistent: Sequence[int], factor: str) -> bool:
+    """Whether robots, or objects, differ among those that two laboratories or more have measured."""
     laboratories: dict[str, set[str]] = defaultdict(set)
-    for index in kept:
-        laboratories[own[index].label(factor)].add(own[index].label("laboratory"))
-    shared = [index for index in kept if len(laboratories[own[index].label(factor)]) > 1]
-    labels = [own[index].label(factor) for index in shared]
+    for index in consistent:
+        laboratories[studies[index].label(factor)].add(studies[index].label("laboratory"))
+    shared = [index for index in consistent if len(laboratories[studies[index].label(factor)]) > 1]
+    labels = [studies[index].label(factor) for index in shared]
     if len(set(labels)) < 2:
         return False
-    values, errors = _numbers(own, shared)
+    values, errors = _numbers(studies, shared)
     within, _ = within_groups(values, errors, labels)
     between = pool(values, errors).q - within
     return float(scipy.stats.chi2.sf(between, len(set(labels)) - 1)) < HETEROGENEITY_SIGNIFICANCE
 
 
-def _groups(own: Sequence[_Study], kept: Sequence[int], factor: str) -> dict[str, MergedEstimate]:
+def _groups(studies: Sequence[_Study], consistent: Sequence[int], factor: str) -> dict[str, MergedEstimate]:
     by_label: dict[str, list[int]] = defaultdict(list)
-    for index in kept:
-        by_label[own[index].label(factor)].append(index)
-    found = {}
+    for index in consistent:
+        by_label[studies[index].label(factor)].append(index)
+    estimates = {}
     for label, indices in sorted(by_label.items()):
-        pooled = pool(*_numbers(own, indices))
-        found[label] = MergedEstimate(estimate=pooled.mean, ci95=(pooled.low, pooled.high), packages=pooled.studies)
-    return found
+        pooled = pool(*_numbers(studies, indices))
+        estimates[label] = MergedEstimate(estimate=pooled.mean, ci95=(pooled.low, pooled.high), packages=pooled.studies)
+    return estimates

@@ -10,18 +10,19 @@
     q     = sum w*_i (y_i - mu)^2 / (k - 1)                              Hartung 1999
     half  = max(t sqrt(q / W*), z / sqrt(W*)), Student's t of k - 1      Knapp and Hartung 2003
 
-The second half width is due to DerSimonian and Laird: a few studies agree by chance better than their errors allow,
-and q alone then gives an interval that is too short. The wider one of both is asked for by Wiksten, Ruecker and
-Schwarzer (Statistics in Medicine 35:2503, 2016); with a floor of 1 for q instead, five studies or fewer cover 96 to
+The second half width is due to DerSimonian and Laird: a few studies may agree by chance better than their errors allow,
+and q alone then gives an interval that is too short. Wiksten, Ruecker and Schwarzer (Statistics in Medicine 35:2503,
+2016) ask for the wider of both; with a lower limit of 1 for q instead, the coverage for five studies or fewer is 96 to
 100 %.
 
-An odd study has a large studentised residual from the others (Viechtbauer and Cheung 2010),
+An outlier has a large studentised leave-one-out residual (Viechtbauer and Cheung 2010),
 
-    r = (y - mu) / sqrt(s^2 + tau^2 + 1 / W*)                            where the others differ (p of Q <= 0.05)
-    r = (y - m) / sqrt(h^2 (s^2 + 1 / W))                                where they do not
+    r = (y - mu) / sqrt(s^2 + tau^2 + 1 / W*)                            if the others differ (p of Q <= 0.05)
+    r = (y - m) / sqrt(h^2 (s^2 + 1 / W))                                otherwise
 
-with mu, tau, W* of the others. tau of a few studies is known poorly, and 0 by chance as often as not; h^2 >= 1 is the
-mean of Q / (k - 1) over all parameters in which the others do not differ, with the degrees of freedom of Student's t.
+with mu, tau, W* of the other studies. A few studies determine tau poorly, and it is often 0 by chance; h^2 >= 1 is the
+mean of Q / (k - 1) over all parameters in which the others do not differ; their k - 1 add up to the degrees of freedom
+of Student's t.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class Pooled:
         high: Upper end.
         tau: Standard deviation between studies.
         q: Heterogeneity Q.
-        p_value: p of Q where there is no deviation between studies; 1 of a single study.
+        p_value: p of Q if studies do not differ (tau = 0); 1 for a single study.
         studies: k.
     """
 
@@ -67,7 +68,7 @@ class Pooled:
 
 
 def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
-    """Mean of all studies with its interval; of a single study its own.
+    """Pooled mean with its interval; a single study keeps its estimate and interval.
 
     Args:
         values: y, k numbers.
@@ -81,10 +82,10 @@ def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
     q, tau = _heterogeneity(y, s)
     weight = 1.0 / (s**2 + tau**2)
     mean = float(weight @ y / weight.sum())
-    scatter = float(weight @ (y - mean) ** 2) / (count - 1)
+    dispersion = float(weight @ (y - mean) ** 2) / (count - 1)
     upper = 0.5 + CONFIDENCE_LEVEL / 2.0
-    widest = max(scipy.stats.t.ppf(upper, count - 1) * np.sqrt(scatter), scipy.stats.norm.ppf(upper))
-    half = float(widest / np.sqrt(weight.sum()))
+    factor = max(scipy.stats.t.ppf(upper, count - 1) * np.sqrt(dispersion), scipy.stats.norm.ppf(upper))
+    half = float(factor / np.sqrt(weight.sum()))
     p_value = float(scipy.stats.chi2.sf(q, count - 1))
     return Pooled(mean, mean - half, mean + half, tau, q, p_value, count)
 
@@ -92,13 +93,13 @@ def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
 def residual(
     value: float, error: float, others: Sequence[float], errors: Sequence[float], dispersion: float = 1.0
 ) -> float:
-    """Studentised residual of a study from others [-]; nan with fewer than two others.
+    """Studentised leave-one-out residual of a study [-]; nan with fewer than two other studies.
 
     Args:
         value: y of the study.
-        error: Its s.
-        others: y of the others.
-        errors: Their s.
+        error: s of the study.
+        others: y of the other studies.
+        errors: s of the other studies.
         dispersion: h^2.
     """
     y, s = np.asarray(others, dtype=float), np.asarray(errors, dtype=float)
@@ -120,13 +121,13 @@ def heterogeneity(values: Sequence[float], errors: Sequence[float]) -> tuple[flo
 def within_groups(values: Sequence[float], errors: Sequence[float], groups: Sequence[str]) -> tuple[float, int]:
     """Heterogeneity within groups of studies, and its degrees of freedom."""
     y, s, names = np.asarray(values, dtype=float), np.asarray(errors, dtype=float), np.asarray(groups)
-    q, freedom = 0.0, 0
+    q, degrees_of_freedom = 0.0, 0
     for name in np.unique(names):
-        own = names == name
-        if own.sum() > 1:
-            q += _heterogeneity(y[own], s[own])[0]
-            freedom += int(own.sum()) - 1
-    return q, freedom
+        in_group = names == name
+        if in_group.sum() > 1:
+            q += _heterogeneity(y[in_group], s[in_group])[0]
+            degrees_of_freedom += int(in_group.sum()) - 1
+    return q, degrees_of_freedom
 
 
 def _heterogeneity(y: Array, s: Array) -> tuple[float, float]:

@@ -119,7 +119,7 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(_arms_table(by_arm))
     if warning := far_words(analysis.jumps):
         terminal.warn(warning)
-    for departure in analysis.left:
+    for departure in analysis.departed:
         terminal.warn(f"{departure.object} {departure.case}: {departure.words}")
     if analysis.sensitivity.shifts:
         terminal.say(_bands(analysis))

@@ -121,7 +121,7 @@ def _table(name: str, limits: list[SpeedLimit]) -> Table:
             limit.case_name,
             f"{limit.planned:.3f}",
             _speed(limit.speed),
-            _speed(limit.middle),
+            _speed(limit.median),
             *(_speed(limit.by_kind[kind]) for kind in kinds),
         )
     return table

@@ -20,7 +20,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     table = Table(title="Motor-inertia scale that suits the published rows best")
     for heading in ("rows", "scale", "95 % interval", "mismatch at 1 [%]", "fitted [%]", "rows not seen [%]"):
         table.add_column(heading, justify="left" if heading == "rows" else "right")
-    fits = {"all": study.all_rows, **study.by_scenario, "all, hyperbolas": study.other_curve}
+    fits = {"all": study.all_rows, **study.by_scenario, "all, hyperbolas": study.hyperbola_fit}
     for name, fit in fits.items():
         scale, *interval = estimate_text(fit.scale, fit.interval, least=2)
         table.add_row(

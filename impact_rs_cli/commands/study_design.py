@@ -72,7 +72,7 @@ def _document(study: DesignStudy) -> dict[str, object]:
         "speed_m_s": study.conditions.speed,
         "draws": study.conditions.draws,
         "seed": study.conditions.seed,
-        "places": dict(study.places),
+        "places": dict(study.tries),
         "failed": dict(study.failed),
         "ranked": {
             name: [

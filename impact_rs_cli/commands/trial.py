@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 
-from impact_rs_analysis.measure.departure import objects_left
+from impact_rs_analysis.measure.departure import object_departures
 from impact_rs_analysis.measure.net_feedback import ANALYSED_OUTCOMES, net_feedback
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             f"{trial_report.outcome}: net feedback {trial.net:+.4f} m/s along {info.axis} at a post-impact reference "
             f"of {info.reference_post_velocity:+.4f} m/s"
         )
-        for departure in objects_left({(info.scenario, info.object, info.case_name): [trial.departures]}):
+        for departure in object_departures({(info.scenario, info.object, info.case_name): [trial.departures]}):
             terminal.warn(departure.words)
     terminal.say(f"bag: {path}")
     return 0 if trial_report.outcome == "OK" else 1

@@ -17,7 +17,7 @@ from trials import recorded
 from impact_rs_analysis.application.plant_bench import PlantBench
 from impact_rs_analysis.design.possible_trials import possible_trials
 from impact_rs_analysis.investigation.rounds import PlannedTrial, WantedTrials, trials_of
-from impact_rs_analysis.investigation.rule_design import simple_design
+from impact_rs_analysis.investigation.rule_design import rule_design
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli import node_benches
 from impact_rs_cli.cell_guard import CellGuard, SafetyStop
@@ -162,12 +162,12 @@ def test_a_trial_is_checked_again_just_before_it_runs(tmp_path: Path) -> None:
 def test_the_design_proposes_nothing_outside_the_envelope() -> None:
     """Slower than 0.6 m/s: no case 2; and no object that is not named."""
     settings = SETTINGS.model_copy(update={"envelope": ENVELOPE.model_copy(update={"speed": 0.6})})
-    plan = simple_design(settings, WantedTrials(load_model("nominal"), [], None, 8, 0))
+    plan = rule_design(settings, WantedTrials(load_model("nominal"), [], None, 8, 0))
     proposed = {(one.object, one.case) for campaign in plan.campaigns for one in campaign.conditions}
     assert proposed and proposed <= {(item, case) for item in ("parcel", "juice") for case in ("case_1", "case_3")}
     nothing = SETTINGS.model_copy(update={"envelope": ENVELOPE.model_copy(update={"speed": 0.1})})
     with pytest.raises(InputError, match="no condition of these scenarios lies inside the envelope"):
-        simple_design(nothing, WantedTrials(load_model("nominal"), [], None, 8, 0))
+        rule_design(nothing, WantedTrials(load_model("nominal"), [], None, 8, 0))
 
 
 def test_a_design_within_the_documented_envelope_is_one(tmp_path: Path) -> None:

@@ -94,11 +94,11 @@ def test_a_known_fault_is_not_looked_for_again(
     assert main(["add", "torque_delay", "--from", str(laboratory / "diagnosis.json")]) == 0
     found = document("diagnose", *data_of(laboratory), "--effects", "joint_coulomb_friction", "joint_viscous_friction")
     assert found["named"] == ["joint_coulomb_friction"] and "measurement" not in found
-    assert found["remarks"][0].startswith("what the calibration says of torque_delay was taken as right")
+    assert found["remarks"][0].startswith("the calibrated faults torque_delay were taken as exact")
     for command in ("diagnose", "discover"):
         assert main([command, *map(str, data_of(laboratory)), "--effects", "torque_delay"]) == 2
         said = capfd.readouterr().err
-        assert "calibration.yaml: effects.0.name: torque_delay is calibrated and not looked for; --calibration" in said
+        assert "calibration.yaml: effects.0.name: torque_delay is calibrated and therefore not diagnosed" in said
     assert found["calibration"]["effects"] == ["torque_delay"] and found["model"]["name"] == "nominal"
 
 

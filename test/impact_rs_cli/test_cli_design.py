@@ -17,7 +17,7 @@ from impact_rs_analysis.design.design import WHICH_EFFECT
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, write_document
 from impact_rs_analysis.diagnosis.laws.discovery_document import FOUND, DiscoveryDocument, write_discovery
 from impact_rs_analysis.investigation.rounds import Round, WantedTrials
-from impact_rs_analysis.investigation.rule_design import simple_design
+from impact_rs_analysis.investigation.rule_design import rule_design
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli.main import main
 from impact_rs_cli.terminal import Terminal
@@ -165,7 +165,7 @@ def test_a_rule_goes_on_after_trials_that_no_scenario_file_has(tmp_path: Path) -
     """Conditions of the file that were measured least are next: case 2 beside the centre is another than case 2."""
     done = [Round(1, tmp_path, "nominal", designed())]
     count = len(load_scenario("push").objects) * len(load_scenario("push").cases)
-    plan = simple_design(SETTINGS, WantedTrials(load_model("nominal"), done, None, count - 1, 1))
+    plan = rule_design(SETTINGS, WantedTrials(load_model("nominal"), done, None, count - 1, 1))
     chosen = {(one.object, one.case) for campaign in plan.campaigns for one in campaign.conditions}
     assert ("parcel", "case_2") in chosen and ("parcel", "case_1") not in chosen
     assert plan.trials == count - 1

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trials import plan_of
 
-from impact_rs_analysis.measure.net_feedback import held_integral
+from impact_rs_analysis.measure.net_feedback import zero_order_hold_integral
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.controller import IDLE_TASK_WEIGHT, ArmCommand, Controller, Mode
 from impact_rs_control.detection import BASELINE_TIME_S
@@ -225,7 +225,7 @@ def test_feedback_is_held_over_ticks_that_are_missed(plan: TrialPlan, every: int
     ticks = range(3, TIMING.ticks + 1, every)
     commands = [controller.update(tick, {ARM: state})[ARM] for tick in ticks]
     feedback = np.array([command.feedback for command in commands])
-    _, expected = held_integral(PERIOD * np.array(ticks), feedback[:, 1], 0.8, 1.5)
+    _, expected = zero_order_hold_integral(PERIOD * np.array(ticks), feedback[:, 1], 0.8, 1.5)
     assert commands[-1].net_feedback[1] == pytest.approx(expected, rel=1e-9)
 
 

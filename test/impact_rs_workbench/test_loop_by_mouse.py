@@ -50,7 +50,7 @@ def test_the_loop_by_mouse_names_the_effect_and_the_error_falls(
     page.locator("#compare-result .clickable").last.evaluate("node => node.scrollIntoView({behavior: 'instant'})")
     picture(page, "workbench_compare")
     replay = page.locator("#compare-result .replays")
-    replay.get_by_label("size of what the model does differently").select_option("10")
+    replay.get_by_label("scale of the difference between model and measurement").select_option("10")
     picture(replay, "replay")
 
     go(page, "diagnose")

@@ -24,9 +24,9 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
   const SLOW_MOTION = 100;
   const MARGIN = 0.9;
   const STEP = 0.001, BIG_STEP = 0.01;
-  const FULL = [20, 50, 100, 200, 500, 1000, 2000, 5000];  // N, what the longest arrow can stand for in a live picture
-  const EMPTY = [[-0.5, -0.5, 0], [0.5, 0.5, 0.5]];  // m, what is looked at where nothing stands
-  const ROOM = 0.1;  // m about what has moved so far
+  const FULL = [20, 50, 100, 200, 500, 1000, 2000, 5000];  // N, possible forces of the longest arrow in a live picture
+  const EMPTY = [[-0.5, -0.5, 0], [0.5, 0.5, 0.5]];  // m, corners of the view of an empty scene
+  const ROOM = 0.1;  // m, margin of the view around everything that has moved so far
   const ABOVE = {before: 0.09, after: 0.06, model: 0.03};  // arrows of one direction would hide each other
 
   function floats(text) {
@@ -35,16 +35,16 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
   }
 
   function element(tag, attributes, ...children) {
-    const made = document.createElement(tag);
-    Object.entries(attributes).forEach(([name, value]) => made.setAttribute(name, value));
-    made.append(...children);
-    return made;
+    const node = document.createElement(tag);
+    Object.entries(attributes).forEach(([name, value]) => node.setAttribute(name, value));
+    node.append(...children);
+    return node;
   }
 
   function select(label, choices) {
-    const made = element('select', {'aria-label': label});
-    choices.forEach(([value, text]) => made.add(new Option(text, value)));
-    return made;
+    const node = element('select', {'aria-label': label});
+    choices.forEach(([value, text]) => node.add(new Option(text, value)));
+    return node;
   }
 
   function placed(node, origin) {
@@ -55,10 +55,10 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
 
   function geometry(shape) {
     if (shape.kind === 'mesh') {
-      const made = new THREE.BufferGeometry();
-      made.setAttribute('position', new THREE.BufferAttribute(floats(shape.vertices), 3));
-      made.setIndex(Array.from(floats(shape.faces)));
-      const flat = made.toNonIndexed();
+      const mesh = new THREE.BufferGeometry();
+      mesh.setAttribute('position', new THREE.BufferAttribute(floats(shape.vertices), 3));
+      mesh.setIndex(Array.from(floats(shape.faces)));
+      const flat = mesh.toNonIndexed();
       flat.computeVertexNormals();
       return flat;
     }
@@ -79,7 +79,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
         if (ghost && name === 'support') return;
         shapes.forEach((shape) => {
           const material = this.material(new THREE.Color().setRGB(...shape.colour, THREE.SRGBColorSpace));
-          // What stands below the support is to be seen.
+          // The support is transparent, so that bodies below it are visible.
           if (name === 'support') Object.assign(material, {transparent: true, opacity: 0.35, depthWrite: false});
           this.links[name].add(placed(new THREE.Mesh(geometry(shape), material), shape));
         });
@@ -164,7 +164,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
     }
   }
 
-  // A picture of a scene that a reader can turn.
+  // A picture of a scene; the reader can turn it.
   class Stage {
     constructor(parent) {
       this.parent = parent;
@@ -173,7 +173,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.readout = element('p', {class: 'note replay-time'});
     }
 
-    // Begin to draw on the canvas, which stands in the page.
+    // Begin to draw on the canvas of the page.
     open() {
       try {
         this.renderer = new THREE.WebGLRenderer({canvas: this.canvas, antialias: true});
@@ -188,7 +188,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.controls = new THREE.OrbitControls(this.camera, this.canvas);
       this.controls.addEventListener('change', () => this.draw());
       this.controls.addEventListener('start', () => { this.turned = true; });
-      // A page is scrolled across the picture, with a wheel or a finger, until the picture is asked for.
+      // A wheel or a finger scrolls the page across the picture, until the picture has the focus.
       this.canvas.style.touchAction = 'pan-y';
       this.controls.enableZoom = false;
       this.canvas.addEventListener('pointerdown', () => this.canvas.focus({preventScroll: true}));
@@ -204,7 +204,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       window.addEventListener('beforeprint', () => this.render());  // paper has the whole page
     }
 
-    // An empty scene, with light and a grid on the floor; what stood there is given up.
+    // An empty scene, with light and a grid on the floor; the resources of the old scene are freed.
     clear(...roots) {
       if (this.scene) {
         this.scene.traverse((node) => [node.geometry, node.material].forEach((part) => part && part.dispose()));
@@ -226,7 +226,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       }));
     }
 
-    // Look at what lies within bounds, from the side of a motion along some direction, away from the bases of the arms.
+    // Look at everything within bounds, across a direction of motion and away from the bases of the arms.
     frame(bounds, bodies, arms, along) {
       const centre = bounds.getCenter(new THREE.Vector3()), base = new THREE.Vector3();
       arms.forEach((arm) => base.add(bodies.links[`${arm}_base`].getWorldPosition(new THREE.Vector3())));
@@ -243,7 +243,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.turned = false;
     }
 
-    // How far away, in a direction, everything within the bounds is in the picture.
+    // Distance of the camera, in a direction, at which everything within the bounds is in the picture.
     distance(bounds, centre, direction) {
       const right = new THREE.Vector3(0, 0, 1).cross(direction).normalize(), up = direction.clone().cross(right);
       const upright = Math.tan(THREE.MathUtils.degToRad(this.camera.fov) / 2), across = upright * this.camera.aspect;
@@ -301,7 +301,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.slider = element('input', {type: 'range', min: '0', max: '1', step: 'any', 'aria-label': 'time'});
       this.speed = select('speed', [['slow', `slow at the impact, 1 : ${SLOW_MOTION}`], ['1', '1 : 1'],
                                     ['10', '1 : 10'], ['100', '1 : 100']]);
-      this.larger = select('size of what the model does differently',
+      this.larger = select('scale of the difference between model and measurement',
                            [['1', 'model true to size'], ['10', 'differences × 10'], ['100', 'differences × 100']]);
       const controls = element('div', {class: 'replay-controls'}, this.button, this.toImpact, this.slider);
       const choices = element('div', {}, this.speed, this.larger);
@@ -342,7 +342,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.seek(this.run.impact === null ? this.run.time[0] : this.run.impact);
     }
 
-    // Everything that stands in the scene of a run.
+    // Bodies and arrows in the scene of a run.
     furnish() {
       this.clear(this.measured.root);
       if (this.model) this.scene.add(this.model.root);
@@ -398,11 +398,11 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       starts.forEach((start, number) => {
         const first = time[start], last = time[(starts[number + 1] || time.length) - 1];
         const inside = slow ? slow.filter((moment) => moment > first && moment < last) : [];
-        [first, ...inside, last].forEach((moment, place, moments) => {
-          if (place > 0) {
-            const middle = (moments[place - 1] + moment) / 2;
-            const at = stretched && slow && middle > slow[0] && middle < slow[1];
-            played += (moment - moments[place - 1]) * (at ? SLOW_MOTION : stretched ? 1 : Number(this.speed.value));
+        [first, ...inside, last].forEach((moment, index, moments) => {
+          if (index > 0) {
+            const middle = (moments[index - 1] + moment) / 2;
+            const isSlow = stretched && slow && middle > slow[0] && middle < slow[1];
+            played += (moment - moments[index - 1]) * (isSlow ? SLOW_MOTION : stretched ? 1 : Number(this.speed.value));
           }
           this.knots.push([moment, played]);
         });
@@ -449,19 +449,19 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       const sides = [[this.measured, measured], [this.model, model]].filter(([bodies]) => bodies);
       const forces = sides.map(([bodies, side], number) => {
         let joints = this.values(side.joints, this.columns, at);
-        let poses = side.objects.map((own) => own && this.values(own, 7, at));
+        let poses = side.objects.map((samples) => samples && this.values(samples, 7, at));
         if (number) {
           const larger = Number(this.larger.value);
-          const from = (truth, value) => value.map((one, i) => truth[i] + larger * (one - truth[i]));
-          joints = from(this.values(measured.joints, this.columns, at), joints);
+          const scaled = (truth, values) => values.map((value, i) => truth[i] + larger * (value - truth[i]));
+          joints = scaled(this.values(measured.joints, this.columns, at), joints);
           poses = poses.map((pose, i) =>
-            (pose && measured.objects[i] ? from(this.values(measured.objects[i], 7, at), pose) : pose));
+            (pose && measured.objects[i] ? scaled(this.values(measured.objects[i], 7, at), pose) : pose));
         }
         bodies.place(joints, poses);
         const hands = bodies.positions();
-        return this.arms.map((arm, place) => {
-          const force = side.forces && this.values(side.forces, 3 * this.arms.length, at).slice(3 * place, 3 * place + 3);
-          this.forces[number][place].set(new THREE.Vector3(...hands[`${arm}_end_effector`]),
+        return this.arms.map((arm, index) => {
+          const force = side.forces && this.values(side.forces, 3 * this.arms.length, at).slice(3 * index, 3 * index + 3);
+          this.forces[number][index].set(new THREE.Vector3(...hands[`${arm}_end_effector`]),
                                          new THREE.Vector3(...(force || [0, 0, 0])).multiplyScalar(this.newton));
           return force && Math.hypot(...force);
         });
@@ -482,10 +482,10 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
           : `${Math.abs(since).toFixed(0)} ms ${since < 0 ? 'before' : 'after'} the impact`);
       }
       const newtons = (value) => `${value.toFixed(0)} N`;
-      this.arms.forEach((arm, place) => {
-        if (forces[0][place] === null) return;
+      this.arms.forEach((arm, index) => {
+        if (forces[0][index] === null) return;
         const name = this.arms.length > 1 ? `force of ${arm}` : 'force';
-        words.push(`${name} ${newtons(forces[0][place])}${forces[1] ? ` (model ${newtons(forces[1][place])})` : ''}`);
+        words.push(`${name} ${newtons(forces[0][index])}${forces[1] ? ` (model ${newtons(forces[1][index])})` : ''}`);
       });
       this.readout.textContent = words.join(' · ');
       this.slider.setAttribute('aria-valuetext', words.slice(0, 2).join(', '));
@@ -532,7 +532,7 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       const bounds = new THREE.Box3();
       const {time, measured} = this.run;
       for (let row = 0; row < time.length; row += Math.ceil(time.length / 24)) {
-        const poses = measured.objects.map((own) => own && this.values(own, 7, [row, 0]));
+        const poses = measured.objects.map((samples) => samples && this.values(samples, 7, [row, 0]));
         this.measured.place(this.values(measured.joints, this.columns, [row, 0]), poses);
         this.measured.root.updateMatrixWorld(true);
         Object.entries(this.measured.links).forEach(([name, link]) => {
@@ -563,8 +563,8 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.forces = this.arms.map(() => new Arrow(FORCE, 0.007));
       this.state = null;
       this.most = FULL[0];
-      this.seen = new THREE.Box3();
-      this.shown = null;  // what the camera was placed for
+      this.moved = new THREE.Box3();  // everything that has moved so far
+      this.shown = null;  // bounds that the camera shows
       this.clear(...(scene ? [this.measured.root] : []), ...this.forces.map((arrow) => arrow.root));
       if (scene) this.measured.root.visible = false;  // until joint positions arrive
       this.forces.forEach((arrow) => arrow.set(new THREE.Vector3(), new THREE.Vector3()));
@@ -582,38 +582,38 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.state = state;
       this.measured.root.visible = true;
       this.measured.place(state.joints, [state.object, ...(state.neighbours || [])]);
-      const hands = this.measured.positions(), known = state.forces !== null;
-      const newtons = known ? state.forces.map((force) => Math.hypot(...force)) : [];
+      const hands = this.measured.positions(), hasForces = state.forces !== null;
+      const newtons = hasForces ? state.forces.map((force) => Math.hypot(...force)) : [];
       this.most = FULL.find((most) => most >= Math.max(this.most, ...newtons)) || FULL[FULL.length - 1];
-      this.forces.forEach((arrow, place) => {
-        const force = new THREE.Vector3(...(known ? state.forces[place] : [0, 0, 0]));
-        arrow.set(new THREE.Vector3(...hands[`${this.arms[place]}_end_effector`]),
+      this.forces.forEach((arrow, index) => {
+        const force = new THREE.Vector3(...(hasForces ? state.forces[index] : [0, 0, 0]));
+        arrow.set(new THREE.Vector3(...hands[`${this.arms[index]}_end_effector`]),
                   force.multiplyScalar(LONGEST_ARROW / this.most));
       });
       const words = state.time === null ? [] : [`${state.time.toFixed(3)} s`];
-      newtons.forEach((value, place) =>
-        words.push(`force${this.arms.length > 1 ? ` of ${this.arms[place]}` : ''} ${value.toFixed(0)} N`));
+      newtons.forEach((value, index) =>
+        words.push(`force${this.arms.length > 1 ? ` of ${this.arms[index]}` : ''} ${value.toFixed(0)} N`));
       this.readout.textContent = words.join(' · ');
       const long = ` (${(100 * LONGEST_ARROW).toFixed(0)} cm: ${this.most} N)`;
-      this.explain([['#8A929C', 'newest state'], ...(known ? [[FORCE, `force on the object${long}`]] : [])]);
+      this.explain([['#8A929C', 'newest state'], ...(hasForces ? [[FORCE, `force on the object${long}`]] : [])]);
       this.look(hands);
       this.draw();
     }
 
     // Keep all that has moved in the picture, until a reader turns it.
     look(hands) {
-      Object.entries(hands).forEach(([name, place]) => {
-        if (name !== 'support' && name !== 'world') this.seen.expandByPoint(new THREE.Vector3(...place));
+      Object.entries(hands).forEach(([name, position]) => {
+        if (name !== 'support' && name !== 'world') this.moved.expandByPoint(new THREE.Vector3(...position));
       });
-      this.measured.expand(this.seen);
-      if (this.shown && (this.turned || this.shown.containsBox(this.seen))) return;
+      this.measured.expand(this.moved);
+      if (this.shown && (this.turned || this.shown.containsBox(this.moved))) return;
       this.fit();
     }
 
     fit() {
       if (!this.renderer) return;
       const empty = new THREE.Box3(...EMPTY.map((corner) => new THREE.Vector3(...corner)));
-      if (this.state) this.shown = this.seen.clone().expandByScalar(ROOM);
+      if (this.state) this.shown = this.moved.clone().expandByScalar(ROOM);
       this.frame(this.shown || empty, this.measured, this.state ? this.arms : [], new THREE.Vector3(0, 1, 0));
       this.draw();
     }
@@ -663,26 +663,26 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.moment = moment;
       this.measured.place(moment.joints, [moment.object, ...(moment.neighbours || [])]);
       const hands = this.measured.positions(), vector = (values) => new THREE.Vector3(...values);
-      const fastest = Math.max(1e-9, ...moment.jumps.flatMap((jump) => [jump.before, jump.after]).map((one) => Math.hypot(...one)));
+      const fastest = Math.max(1e-9, ...moment.jumps.flatMap((jump) => [jump.before, jump.after]).map((velocity) => Math.hypot(...velocity)));
       // The scale stays while a slider moves, so that arrows grow with velocities.
-      if (this.most === null || fastest > 2 * this.most) this.most = [0.1, 0.2, 0.5, 1, 2, 5, 10].find((one) => one >= fastest) || fastest;
+      if (this.most === null || fastest > 2 * this.most) this.most = [0.1, 0.2, 0.5, 1, 2, 5, 10].find((speed) => speed >= fastest) || fastest;
       const scale = LONGEST_ARROW / this.most;
       while (this.arrows.length < moment.jumps.length) {
-        const own = {before: new Arrow(BEFORE, 0.006), after: new Arrow(AFTER, 0.006), interval: new Interval(AFTER)};
-        this.arrows.push(own);
-        this.scene.add(own.before.root, own.interval.root, own.after.root);
+        const arrows = {before: new Arrow(BEFORE, 0.006), after: new Arrow(AFTER, 0.006), interval: new Interval(AFTER)};
+        this.arrows.push(arrows);
+        this.scene.add(arrows.before.root, arrows.interval.root, arrows.after.root);
       }
-      moment.jumps.forEach((jump, place) => {
-        const own = this.arrows[place];
+      moment.jumps.forEach((jump, index) => {
+        const arrows = this.arrows[index];
         const start = jump.arm === null ? vector(moment.object) : vector(hands[`${jump.arm}_end_effector`]);
         if (jump.arm === null && this.size) start.z += this.size[2] / 2;
         const at = (when) => start.clone().setZ(start.z + ABOVE[when]);
-        own.before.set(at('before'), vector(jump.before).multiplyScalar(scale));
-        own.after.set(at('after'), vector(jump.after).multiplyScalar(scale));
+        arrows.before.set(at('before'), vector(jump.before).multiplyScalar(scale));
+        arrows.after.set(at('after'), vector(jump.after).multiplyScalar(scale));
         if (jump.low) {
           const [low, high] = [jump.low, jump.high].map((end) => at('after').addScaledVector(vector(end), scale));
-          own.interval.set(low, high);
-        } else own.interval.root.visible = false;
+          arrows.interval.set(low, high);
+        } else arrows.interval.root.visible = false;
       });
       if (this.explained !== this.most) this.explain([[BEFORE, `before the impact (${(100 * LONGEST_ARROW).toFixed(0)} cm: ${this.most} m/s)`],
         [AFTER, 'after it, with its 95 % interval']]);

@@ -15,7 +15,7 @@ from impact_rs_analysis.diagnosis.search.fit import Evidence
 from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error, size_of
 from impact_rs_analysis.evidence.levels import Cell, where_of, where_of_blocks
 from impact_rs_analysis.evidence.source import Source, with_per_arm_parameters
-from impact_rs_analysis.report.plots import where_plots
+from impact_rs_analysis.report.plots import residual_maps
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
@@ -121,7 +121,7 @@ def test_a_deflection_that_no_robot_measures_is_behind_a_velocity_that_matters(p
     assert deflection.times_noise > 100.0 > 10.0 > velocity.times_noise
     assert deflection.size == pytest.approx(2e-7 / 4e-6) and not deflection.matters
     assert velocity.size == pytest.approx(0.005 / 0.001) and velocity.matters
-    ((_, figure),) = where_plots(tuple(cells.values()), False, "the noise")
+    ((_, figure),) = residual_maps(tuple(cells.values()), False, "the noise")
     assert list(figure.data[0].y) == ["end-effector velocity y"]
     assert figure.data[0].z[0][0] == pytest.approx(5.0)
 

@@ -30,7 +30,7 @@ from impact_rs_analysis.investigation.rounds import (
     trials_of,
 )
 from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
-from impact_rs_analysis.report.family_tree import bought_of, family_of, write_investigation
+from impact_rs_analysis.report.family_tree import family_of, gains_of, write_investigation
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
@@ -899,7 +899,7 @@ def test_the_log_and_the_page_give_every_decision_with_its_reason(start: Start) 
     arm = rounds[1].prediction.impacts[0].arm if rounds[1].prediction else 0.0
     assert f"measured end effector {arm + 0.01:+.3f} m/s (predicted {arm:+.3f})" in text
     assert all((one.directory / "prediction_error.json").exists() for one in rounds)
-    assert [one.total for one in bought_of(rounds)] == [6, 8]
+    assert [one.total for one in gains_of(rounds)] == [6, 8]
 
 
 def end(verdict: str, effects: tuple[str, ...] = (), candidates: tuple[str, ...] = ()) -> Ending:

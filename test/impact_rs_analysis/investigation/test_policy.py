@@ -31,45 +31,48 @@ def state(
     """A round whose diagnosis confirms an effect of the first model, unless more is said."""
     document = found(verdict, suspected=suspected)
     plain = RoundState(
-        here=Round(1, Path("unused"), "nominal", diagnosis=document),
-        found=document,
+        round=Round(1, Path("unused"), "nominal", diagnosis=document),
+        diagnosis=document,
         budget=60,
-        left=54,
+        remaining=54,
         models=0,
         added=frozenset(),
         laws_added=(),
-        stands=False,
+        validated=False,
         holds=False,
         holds_twice=False,
-        look=(),
+        to_show=(),
         unexplained=False,
         laws=(),
-        in_vain=0,
-        further=(),
-        renewed=False,
-        unsure=(),
+        vain_discoveries=0,
+        extension=(),
+        reestimated=False,
+        unconfirmed=(),
     )
     return replace(plain, **more)
 
 
-LATER: dict[str, Any] = {"further": ("object_mass",), "renewed": True, "unsure": ("support_friction",)}
+LATER: dict[str, Any] = {"extension": ("object_mass",), "reestimated": True, "unconfirmed": ("support_friction",)}
 
 
 @pytest.mark.parametrize(
     ("name", "situation"),
     [
-        ("A look before the end", state(NOTHING, stands=True, holds=True, holds_twice=True, look=("object_mass",))),
-        ("A look before the end", state(NOTHING, holds=True, holds_twice=True, look=("object_mass",))),
-        ("A model that holds", state(NOTHING, stands=True, holds=True, holds_twice=True)),
-        ("Too few repeats", state(TOO_FEW, look=("object_mass",), unexplained=True, **LATER)),
+        (
+            "A look before the end",
+            state(NOTHING, validated=True, holds=True, holds_twice=True, to_show=("object_mass",)),
+        ),
+        ("A look before the end", state(NOTHING, holds=True, holds_twice=True, to_show=("object_mass",))),
+        ("A model that holds", state(NOTHING, validated=True, holds=True, holds_twice=True)),
+        ("Too few repeats", state(TOO_FEW, to_show=("object_mass",), unexplained=True, **LATER)),
         ("Nothing missing, twice", state(NOTHING, holds=True, holds_twice=True, unexplained=True, **LATER)),
-        ("Nothing missing, once", state(NOTHING, holds=True, look=("object_mass",), unexplained=True, **LATER)),
+        ("Nothing missing, once", state(NOTHING, holds=True, to_show=("object_mass",), unexplained=True, **LATER)),
         ("A suspicion", state(NOTHING, ("object_mass",), unexplained=True, **LATER)),
         ("An error beyond noise", state(NOTHING, unexplained=True, **LATER)),
         ("An unexplained residual", state(unexplained=True, **LATER)),
         ("A small effect beside a large one", state(**LATER)),
-        ("Estimates that were off", state(renewed=True, unsure=("support_friction",))),
-        ("A tie", state(unsure=("support_friction",))),
+        ("Estimates that were off", state(reestimated=True, unconfirmed=("support_friction",))),
+        ("A tie", state(unconfirmed=("support_friction",))),
         ("Confirmed effects", state()),
     ],
 )

@@ -84,7 +84,7 @@ def test_a_wider_uncertainty_allows_less() -> None:
     )
     for kind in ("jump", "reflex"):
         assert wide.by_kind[kind] < stated.by_kind[kind] < exact.by_kind[kind], kind
-    assert stated.speed < stated.middle
+    assert stated.speed < stated.median
 
 
 def test_the_limit_is_that_speed_at_which_99_of_100_draws_keep_every_bound() -> None:
@@ -94,14 +94,14 @@ def test_the_limit_is_that_speed_at_which_99_of_100_draws_keep_every_bound() -> 
         scene, speed = scene_of(), 0.5
         bounds = Bounds(("a", "b"), ("jump", "force"), ("rad/s", "N"), np.ones(2))
         slopes = np.column_stack((norm.ppf((np.arange(1000) + 0.5) / 1000, 0.8, 0.1), np.full(1000, 0.2)))
-        rest = np.zeros_like(slopes)
+        ratios_at_rest = np.zeros_like(slopes)
 
         def ratios(self, scale: float) -> np.ndarray:
             return scale * self.slopes
 
     found = speed_limit(cast(Hits, Proportional()))
     assert found.speed == found.by_kind["jump"] == pytest.approx(0.5 / norm.ppf(0.99, 0.8, 0.1), rel=2e-3)
-    assert found.middle == pytest.approx(0.5 / 0.8, rel=2e-3)
+    assert found.median == pytest.approx(0.5 / 0.8, rel=2e-3)
     assert found.by_kind["force"] == pytest.approx(0.5 / 0.2, rel=1e-3) and found.binding == "a"
 
 
@@ -112,7 +112,7 @@ def test_the_limit_of_every_kind_is_simulated_whatever_speed_is_planned(planned:
     class Bent:
         scene, speed = scene_of(), planned
         bounds = Bounds(("a", "b", "c"), ("jump", "force", "reflex"), ("rad/s", "N", "N m"), np.ones(3))
-        rest = np.zeros((1, 3))
+        ratios_at_rest = np.zeros((1, 3))
 
         def ratios(self, scale: float) -> np.ndarray:
             v = scale * self.speed

@@ -15,7 +15,13 @@ import pytest
 import yaml
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
-from impact_rs_analysis.measure.departure import SEPARATION_WINDOW_S, Departure, _distances, departures, objects_left
+from impact_rs_analysis.measure.departure import (
+    SEPARATION_WINDOW_S,
+    Departure,
+    _distances,
+    departures,
+    object_departures,
+)
 from impact_rs_analysis.report.analysis import write_analysis_report
 from impact_rs_cli.main import main
 from impact_rs_sim.paths import config_directory
@@ -64,7 +70,7 @@ def test_an_object_thrown_off_leaves_with_the_speed_of_its_true_pose(bouncy: Pat
 def test_an_object_that_is_pushed_on_stays(push_campaign: Path, push_analysis: Analysis) -> None:
     for path in push_campaign.glob("cat_food__*"):
         assert departure_of(path).distance < 0.003
-    assert push_analysis.left == () and push_analysis.to_json()["object_left"] == []
+    assert push_analysis.departed == () and push_analysis.to_json()["object_left"] == []
 
 
 def test_a_box_that_turns_on_the_pad_has_not_left_it() -> None:
@@ -82,7 +88,7 @@ def test_a_box_that_turns_on_the_pad_has_not_left_it() -> None:
 
 def test_analysis_terminal_and_report_say_it(bouncy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     analysis = analyze_campaign(bouncy)
-    (left,) = analysis.left
+    (left,) = analysis.departed
     assert (left.object, left.case, left.arm, left.trials, left.of) == ("parcel", "case_2", "arm", 3, 3)
     (entry,) = analysis.to_json()["object_left"]
     assert entry["distance_m"] > 0.025 and 0.5 < entry["restitution"] < 1.0
@@ -90,7 +96,7 @@ def test_analysis_terminal_and_report_say_it(bouncy: Path, tmp_path: Path, capsy
     main(["analyze", str(bouncy), "-o", str(tmp_path / "report")])
     said = " ".join(capsys.readouterr().err.split())
     assert "parcel case_2: the object leaves the pad of arm in 3 of 3 trials" in said
-    assert "the prediction assumes that they stay together" in said
+    assert "the prediction assumes lasting contact" in said
 
 
 @pytest.mark.slow
@@ -105,7 +111,7 @@ def test_a_comparison_of_replayed_trials_says_it(bouncy: Path, capsys: pytest.Ca
 
 def test_a_prediction_with_restitution_is_reported_with_it() -> None:
     thrown = Departure("arm", 0.02, 0.2, 0.4, 0.0)
-    found = list(objects_left({("push", "box", "case_1"): [(thrown,), (replace(thrown, distance=0.001),)]}))
+    found = list(object_departures({("push", "box", "case_1"): [(thrown,), (replace(thrown, distance=0.001),)]}))
     assert [(one.trials, one.of) for one in found] == [(1, 2)]
-    (bouncing,) = objects_left({("push", "box", "case_1"): [(replace(thrown, predicted=0.3),)]})
+    (bouncing,) = object_departures({("push", "box", "case_1"): [(replace(thrown, predicted=0.3),)]})
     assert "as with a restitution of 0.40; the prediction assumes a restitution of 0.3." in bouncing.words

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from impact_rs_analysis.measure.net_feedback import MAX_GAP_S, held_integral, net_feedback
+from impact_rs_analysis.measure.net_feedback import MAX_GAP_S, net_feedback, zero_order_hold_integral
 from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.trial_info import OUTCOMES
@@ -18,13 +18,13 @@ from impact_rs_trials.bags.trial_info import OUTCOMES
 def test_the_integral_of_a_held_signal_is_exact() -> None:
     time = np.array([0.0, 0.1, 0.25, 0.4, 0.5])
     signal = np.array([1.0, 2.0, -1.0, 4.0, 8.0])
-    course, total = held_integral(time, signal, 0.05, 0.45)
+    course, total = zero_order_hold_integral(time, signal, 0.05, 0.45)
     assert total == pytest.approx(1.0 * 0.05 + 2.0 * 0.15 - 1.0 * 0.15 + 4.0 * 0.05)
     np.testing.assert_allclose(course, [0.0, 0.05, 0.35, 0.2, total])
 
 
 def test_the_integral_stops_at_the_end_of_the_window() -> None:
-    course, total = held_integral(np.linspace(0.0, 1.0, 11), np.ones(11), 0.2, 0.5)
+    course, total = zero_order_hold_integral(np.linspace(0.0, 1.0, 11), np.ones(11), 0.2, 0.5)
     assert total == pytest.approx(0.3)
     assert course[-1] == pytest.approx(0.3)
 
