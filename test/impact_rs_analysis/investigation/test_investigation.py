@@ -503,7 +503,7 @@ def test_a_tie_that_no_trial_splits_ends_before_the_budget_is_spent(
     ending = investigation_.run()
     assert (ending.verdict, ending.candidates) == ("UNDECIDED", (FRICTION, MASS))
     assert ending.trials == (6 if ends else 20)
-    assert ("would do so with 42 % at best" in ending.summary) == ends
+    assert ("would do so with a probability of 42 % at best" in ending.summary) == ends
     further = Investigation(investigation_.directory, SETTINGS, larger, bench).run()
     assert further.trials > ending.trials
 

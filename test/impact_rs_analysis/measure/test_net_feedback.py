@@ -167,7 +167,8 @@ def test_a_trial_that_went_wrong_never_enters(outcome: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "complaint"), [({"axis": "w"}, "axis 'w'"), ({"window_start": 1.5, "window_end": 0.8}, "is none")]
+    ("change", "complaint"),
+    [({"axis": "w"}, "axis 'w'"), ({"window_start": 1.5, "window_end": 0.8}, "is empty or not finite")],
 )
 def test_a_trial_that_does_not_say_what_to_measure_is_refused(change: dict, complaint: str) -> None:
     with pytest.raises(BagError, match=complaint):
