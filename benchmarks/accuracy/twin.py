@@ -104,8 +104,8 @@ def bullet_signals(window: Window, physics: Physics, period: float) -> Signals:
     }
     if not window.contact:
         return Signals(window.time, arms)
-    tracked_rows = np.column_stack([np.interp(window.seen, window.time, column) for column in tracked.T])
-    return Signals(window.time, arms, window.seen, tracked_rows[:, :3], tracked_rows[:, 3:])
+    tracked_rows = np.column_stack([np.interp(window.tracked_times, window.time, column) for column in tracked.T])
+    return Signals(window.time, arms, window.tracked_times, tracked_rows[:, :3], tracked_rows[:, 3:])
 
 
 def by_twin(setup: Setup, physics: Physics, factor: int = 1) -> list[Signals]:
