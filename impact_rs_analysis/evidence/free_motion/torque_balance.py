@@ -4,16 +4,15 @@
     tau(t + delay) + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain
 
 with q and dq at t (cf. paper eq. eom); tau is the recorded torque, B is included only if it was measured at the motor.
-Positions, velocities and torques pass one zero-phase low-pass (Butterworth, order 4, forwards and backwards);
-accelerations are central differences of the filtered velocity at the rate of the samples. Prediction and recorded
-torque pass the low-pass once more; both ends are left out.
+Positions, velocities and torques are smoothed by a zero-phase low-pass (Butterworth, order 4, forwards and backwards)
+at three times the cut-off; accelerations are central differences of the smoothed velocity at the rate of the samples.
+Predicted and recorded torque then pass the same low-pass at the cut-off; both ends are left out. The model is not
+linear in the motion: with motion smoothed at the cut-off itself, the predicted torque is not the low-passed torque.
 
-Dry friction jumps where a joint reverses. The filtered velocity reverses at another time, so dry friction is computed
-from the unfiltered velocity at the rate of the samples, and passes the low-pass twice, like the recorded torque. (With
-the sign of the velocity below 3 Hz the inertia of a motor was 3 to 4 % too large in swings of up to 1.5 Hz.) At a
-reversal a joint sticks for a moment (Karnopp 1985, J. Dyn. Sys. Meas. Control 107). Sticking is not modelled: it makes
-the inertia of a motor 1 to 2.6 % too large in these swings; with the true friction the error is 0.1 %. A wider reversal
-(a free width of the sign function) does not reduce this error, and noise of the velocity contributes less than 0.2 %.
+Dry friction jumps where a joint reverses: it is computed from the smoothed velocity at the rate of the samples, and
+smoothed like the recorded torque. At a reversal a joint sticks for a moment (Karnopp 1985, J. Dyn. Sys. Meas. Control
+107). Sticking is not modelled: it makes the inertia of a motor 1 to 2.6 % too large in swings of up to 1.5 Hz; with the
+true friction the error is 0.1 %.
 
 Where the motors have encoders of their own (theta), B and friction act on the motion of the motors, and the deflection
 of the transmission is a second signal without its mean, which is an offset of the encoders:
@@ -32,7 +31,7 @@ Where position servos drive the joints and no torque was recorded, tau is comput
     tau_servo(q_d(t)) - tau_servo(q_d(t - d))
 
 Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as in plant and twin. An effect that changes no
-torque is not measured. Sensor models (:mod:`impact_rs_sim.readings`) correct the low-passed motion, and predict the
+torque is not measured. Sensor models (:mod:`impact_rs_sim.readings`) correct the smoothed motion, and predict the
 readings of the torque.
 """
 
@@ -59,6 +58,8 @@ from impact_rs_trials.recordings.servo import ServoLaw
 from impact_rs_trials.runs import ArmSignals, Run
 
 FILTER_ORDER = 4  # Butterworth low-pass, forwards and backwards
+SMOOTHING_RATIO = 3.0  # cut-off of the signals, over the cut-off of predicted and recorded torque
+MAX_CUT_OFF_SHARE = 0.3  # of the sampling rate
 PADDED_SAMPLES = 15  # beyond each end, three times the coefficients of the filter
 MAX_SAMPLES_PER_PERIOD = 10.0  # of the cut-off frequency, on the grid
 EDGE_PERIODS = 2.0  # of the cut-off frequency, left out at both ends
@@ -98,12 +99,12 @@ class ServoMotion:
     stride: int
 
     def torque(self, delay: float) -> Array:
-        """Torque if commands act ``delay`` [s] after their stamps, low-passed twice, ``(k, n)`` [N m]."""
+        """Torque if commands act ``delay`` [s] after their stamps, filtered, ``(k, n)`` [N m]."""
         torque = self.law.late(self.time, self.position, self.velocity, self.q_desired, self.dq_desired, delay)
-        return _low_passed_twice(torque, self.cut_off, 1.0 / float(self.time[1] - self.time[0]), self.stride)
+        return _filtered(torque, self.cut_off, 1.0 / float(self.time[1] - self.time[0]), self.stride)
 
     def delay_loss(self, delay: float) -> Array:
-        """Torque of punctual minus torque of late commands, low-passed twice, ``(k, n)`` [N m]."""
+        """Torque of punctual minus torque of late commands, filtered, ``(k, n)`` [N m]."""
         return self._delay_losses.of(delay, lambda: self.torque(0.0) - self.torque(delay))
 
     @cached_property
@@ -113,26 +114,25 @@ class ServoMotion:
 
 @dataclass(frozen=True)
 class Motion:
-    """Filtered signals of one recording on an even grid, ``(k, n)`` unless stated.
+    """Signals of one recording on an even grid, ``(k, n)`` unless stated: smoothed motion, filtered torques.
 
     Attributes:
         time: Time since the first sample, ``(k,)`` [s].
         position: q [rad].
         velocity: dq [rad/s].
         acceleration: ddq [rad/s^2].
-        torque: Recorded torque, low-passed twice [N m].
+        torque: Recorded torque, filtered [N m].
         inner: Slice of the samples between the edges.
         noise: Noise of the recorded torque in ``torque``, ``(n,)`` [N m].
         motor_position: theta [rad]; NaN where a joint has no encoder at its motor.
         motor_velocity: dtheta [rad/s]; likewise.
         motor_acceleration: ddtheta [rad/s^2]; likewise.
-        deflection: theta - q, low-passed twice [rad]; likewise.
+        deflection: theta - q, filtered [rad]; likewise.
         deflection_noise: Noise of the deflection, ``(n,)`` [rad]; likewise.
         measured: Whether the torque of a joint was measured, ``(n,)``; one that never changes was not.
         cut_off: Cut-off frequency of the low-pass [Hz].
         rate: Sampling rate of the grid [Hz].
-        unfiltered: High-frequency part of dq (dq minus its low-passed values) at the rate of the samples,
-            ``(stride (k - 1) + 1, n)`` with ``stride`` samples per sample of the other signals [rad/s].
+        stride: Samples of the recording per sample of the grid.
         servo: Servos from whose law the torque was computed; None: it was recorded.
     """
 
@@ -151,7 +151,7 @@ class Motion:
     deflection_noise: Array
     cut_off: float
     rate: float
-    unfiltered: Array
+    stride: int
     servo: ServoMotion | None = None
 
     @property
@@ -196,33 +196,31 @@ class Motion:
         )
 
     def low_pass(self, values: Array) -> Array:
-        """The low-pass on the grid."""
+        """The low-pass at the cut-off, on the grid."""
         return _low_pass(values, self.cut_off, self.rate)
 
     def at_samples(self, values: Array) -> Array:
-        """Values on the grid interpolated at the rate of the samples, as :attr:`unfiltered`."""
-        fine = np.linspace(self.time[0], self.time[-1], len(self.unfiltered))
+        """Values on the grid interpolated at the rate of the samples, ``(stride (k - 1) + 1, n)``."""
+        fine = np.linspace(self.time[0], self.time[-1], self.stride * (self.time.size - 1) + 1)
         return np.asarray(scipy.interpolate.CubicSpline(self.time, values)(fine))
 
     @cached_property
     def _fine_velocity(self) -> Array:
-        """:attr:`velocity` at the rate of the samples, ``(l, n)`` [rad/s]."""
+        """:attr:`velocity` at the rate of the samples [rad/s]."""
         return self.at_samples(self.velocity)
 
     def dry_friction(self, friction: JointFriction, velocity: Array, carried: Array) -> Array:
-        """Friction without its viscous part, low-passed once, ``(k, n)`` [N m].
+        """Friction without its viscous part, smoothed, ``(k, n)`` [N m].
 
         Args:
             friction: Friction of the joints.
-            velocity: Low-passed velocity of the motors on the grid [rad/s].
+            velocity: Smoothed velocity of the motors on the grid [rad/s].
             carried: Torque of the transmissions on the grid [N m].
         """
-        fine = self._fine_velocity if velocity is self.velocity else self.at_samples(velocity)
-        velocity = fine + self.unfiltered
+        velocity = self._fine_velocity if velocity is self.velocity else self.at_samples(velocity)
         loaded = 0.0 if friction.load is None else self.at_samples(carried)
         torque = friction.torque(velocity, loaded) - friction.viscous_torque(velocity)
-        stride = (len(torque) - 1) // (len(self.time) - 1)
-        return _low_pass(torque, self.cut_off, self.rate * stride)[::stride]
+        return _smoothed(torque, self.cut_off, self.rate * self.stride)[:: self.stride]
 
 
 def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
@@ -240,9 +238,14 @@ def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
     return np.asarray(filtered[PADDED_SAMPLES:-PADDED_SAMPLES])
 
 
-def _low_passed_twice(values: Array, cut_off: float, sampled: float, stride: int) -> Array:
-    """The low-pass at the rate of the samples [Hz], and once more on the grid of every ``stride``-th of them."""
-    return _low_pass(_low_pass(values, cut_off, sampled)[::stride], cut_off, sampled / stride)
+def _smoothed(values: Array, cut_off: float, sampled: float) -> Array:
+    """Signals at the rate of the samples [Hz] without what is far above the cut-off [Hz]."""
+    return _low_pass(values, min(SMOOTHING_RATIO * cut_off, MAX_CUT_OFF_SHARE * sampled), sampled)
+
+
+def _filtered(values: Array, cut_off: float, sampled: float, stride: int) -> Array:
+    """Smoothed signals on the grid of every ``stride``-th sample, after the low-pass."""
+    return _low_pass(_smoothed(values, cut_off, sampled)[::stride], cut_off, sampled / stride)
 
 
 @functools.lru_cache(maxsize=16)
@@ -267,9 +270,9 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
     arm = run.signals.arms[ARM]
     start = run.signals.time - run.signals.time[0]
     sampled = 1.0 / float(np.median(np.diff(start)))
-    if cut_off > 0.3 * sampled:
+    if cut_off > (highest := MAX_CUT_OFF_SHARE * sampled):
         raise InputError(
-            f"sampled at {sampled:.3g} Hz, too slow for low_pass = {cut_off:g} Hz; at most {0.3 * sampled:.2g} Hz",
+            f"sampled at {sampled:.3g} Hz, too slow for low_pass = {cut_off:g} Hz; at most {highest:.2g} Hz",
             file=run.path,
         )
     even = np.arange(0.0, start[-1], 1.0 / sampled)
@@ -288,9 +291,7 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
     if law is not None:
         desired = resampled(arm.q_desired), resampled(arm.dq_desired)
         servo = ServoMotion(law, even, positions, speeds, *desired, cut_off, stride)
-    q, dq = (_low_pass(values, cut_off, sampled) for values in (positions, speeds))
-    fine = (q[::stride].shape[0] - 1) * stride + 1
-    theta = _low_pass(motors, cut_off, sampled)
+    q, dq, theta = (_smoothed(values, cut_off, sampled) for values in (positions, speeds, motors))
     dtheta = derivative(theta)
     edge = int(np.ceil(EDGE_PERIODS * rate / cut_off))
     count = q[::stride].shape[0]
@@ -308,18 +309,18 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
         position=q[::stride],
         velocity=dq[::stride],
         acceleration=derivative(dq)[::stride],
-        torque=_low_passed_twice(raw, cut_off, sampled, stride),
+        torque=_filtered(raw, cut_off, sampled, stride),
         inner=slice(edge, count - edge),
         noise=_noise(raw, moved, turning, cut_off, sampled),
         measured=np.ptp(arm.torque, axis=0) > 0.0,
         motor_position=theta[::stride],
         motor_velocity=dtheta[::stride],
         motor_acceleration=derivative(dtheta)[::stride],
-        deflection=_low_pass((theta - q)[::stride], cut_off, rate),
+        deflection=_filtered(motors - positions, cut_off, sampled, stride),
         deflection_noise=_noise(motors - positions, moved, turning, cut_off, sampled),
         cut_off=cut_off,
         rate=rate,
-        unfiltered=(speeds - dq)[:fine],
+        stride=stride,
         servo=servo,
     )
 

@@ -47,7 +47,9 @@ class VelocityRelation:
     """
 
     def __init__(self, motions: Sequence[Motion], stretches: Sequence[slice]) -> None:
-        splines = [scipy.interpolate.make_interp_spline(m.time, m.position, k=SPLINE_DEGREE) for m in motions]
+        splines = [
+            scipy.interpolate.make_interp_spline(m.time, m.low_pass(m.position), k=SPLINE_DEGREE) for m in motions
+        ]
         self._motions, self._stretches = motions, stretches
         self._rates = [np.asarray(spline(m.time, 1)) for spline, m in zip(splines, motions, strict=True)]
         rate = self._stacked(self._rates)
@@ -57,7 +59,7 @@ class VelocityRelation:
         squares = np.maximum(np.sum(np.square((rate, acceleration)), axis=1), 1e-300)
         scale = len(stretches) / np.sqrt(squares * rate.shape[0])
         self._weights = np.stack((rate, acceleration)) * scale[:, None, :]
-        velocity = self._stacked([motion.velocity for motion in motions])
+        velocity = self._stacked([motion.low_pass(motion.velocity) for motion in motions])
         self.recorded = self._projections(velocity)
         residual = velocity.copy()
         for joint in range(velocity.shape[1]):

@@ -775,7 +775,10 @@ def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
         motions: Filtered recordings.
         shortest: Length of the shortest over length of the mean stretch; densities are clipped at its inverse.
     """
-    signals = [np.stack((motion.velocity, motion.acceleration))[:, motion.inner] for motion in motions]
+    signals = [
+        np.stack([motion.low_pass(values)[motion.inner] for values in (motion.velocity, motion.acceleration)])
+        for motion in motions
+    ]
     squares = np.mean(np.square(np.concatenate(signals, axis=1)), axis=1, keepdims=True)
     densities = [(1.0 + 2.0 * np.mean(part**2 / np.maximum(squares, 1e-300), axis=(0, 2))) / 3.0 for part in signals]
     for _ in range(CLIPPING_ITERATIONS):
