@@ -62,7 +62,8 @@ SMOOTHING_RATIO = 3.0  # cut-off of the signals, over the cut-off of predicted a
 MAX_CUT_OFF_SHARE = 0.3  # of the sampling rate
 PADDED_SAMPLES = 15  # beyond each end, three times the coefficients of the filter
 MAX_SAMPLES_PER_PERIOD = 10.0  # of the cut-off frequency, on the grid
-EDGE_PERIODS = 2.0  # of the cut-off frequency, left out at both ends
+EDGE_PERIODS = 3.0  # of the cut-off frequency, left out at both ends: the slowest pole has decayed to 0.1 %
+MIN_KEPT_SAMPLES = 40  # of the grid, between the edges
 NOISE_BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
 MIN_SAMPLES_PER_BAND_PERIOD = 4.0  # of the upper end of the band
 MAX_FITTED_NOISE_SHARE = 0.5  # degrees of freedom of the fit over independent numbers of a (short) recording
@@ -184,8 +185,8 @@ class Motion:
         )
         for lag, square in zip(readings.velocity_filters, (0.0, 0.5), strict=True):
             if lag:
-                jerk = np.gradient(acceleration, 1.0 / self.rate, axis=0)
-                snap = np.gradient(jerk, 1.0 / self.rate, axis=0)
+                jerk = _derivative(acceleration, self.rate)
+                snap = _derivative(jerk, self.rate)
                 velocity = velocity + lag * acceleration + square * lag**2 * jerk
                 acceleration = acceleration + lag * jerk + square * lag**2 * snap
         return replace(
@@ -238,6 +239,16 @@ def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
     return np.asarray(filtered[PADDED_SAMPLES:-PADDED_SAMPLES])
 
 
+def _derivative(values: Array, rate: float) -> Array:
+    """Central differences of sixth order by time, ``(k, n)``; three samples at each end are extrapolated.
+
+    At a tenth of the sampling rate their error is 0.04 %, of second order 6 % (Fornberg 1988, Math. Comput. 51).
+    """
+    weights = rate * np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
+    ends = [2.0 * values[0] - values[3:0:-1], values, 2.0 * values[-1] - values[-2:-5:-1]]
+    return np.asarray(scipy.ndimage.correlate1d(np.concatenate(ends), weights, axis=0)[3:-3])
+
+
 def _smoothed(values: Array, cut_off: float, sampled: float) -> Array:
     """Signals at the rate of the samples [Hz] without what is far above the cut-off [Hz]."""
     return _low_pass(values, min(SMOOTHING_RATIO * cut_off, MAX_CUT_OFF_SHARE * sampled), sampled)
@@ -280,9 +291,6 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
     def resampled(values: Array) -> Array:
         return np.column_stack([np.interp(even, start, column) for column in values.T])
 
-    def derivative(values: Array) -> Array:
-        return np.asarray(np.gradient(values, 1.0 / sampled, axis=0))
-
     raw, positions, speeds = (resampled(values) for values in (arm.torque, arm.position, arm.velocity))
     motors = resampled(motor_positions(arm))
     stride = max(1, int(sampled / (MAX_SAMPLES_PER_PERIOD * cut_off)))
@@ -292,30 +300,31 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
         desired = resampled(arm.q_desired), resampled(arm.dq_desired)
         servo = ServoMotion(law, even, positions, speeds, *desired, cut_off, stride)
     q, dq, theta = (_smoothed(values, cut_off, sampled) for values in (positions, speeds, motors))
-    dtheta = derivative(theta)
+    dtheta = _derivative(theta, sampled)
     edge = int(np.ceil(EDGE_PERIODS * rate / cut_off))
     count = q[::stride].shape[0]
-    if count < 2 * edge + 60:
+    if count < (least := 2 * edge + MIN_KEPT_SAMPLES):
         raise TooShort(
-            f"{start[-1]:.3g} s long, at least {(2 * edge + 60) / rate:.2g} s needed with low_pass = {cut_off:g} Hz",
+            f"{start[-1]:.3g} s long, at least {least / rate:.2g} s needed with low_pass = {cut_off:g} Hz",
             file=run.path,
         )
     # A servo's torque has the noise of the encoder in it, so the motion that it is compared with is the desired one.
     driven = positions if servo is None else servo.q_desired
     moved = np.hstack((driven, motors[:, np.isfinite(motors).all(axis=0)]))
-    turning = np.tanh(derivative(np.where(np.isnan(motors), positions, motors)) / MIN_COULOMB_SPEED)
+    driving = np.where(np.isnan(motors), positions, motors)
+    turning = np.tanh(np.gradient(driving, 1.0 / sampled, axis=0) / MIN_COULOMB_SPEED)
     return Motion(
         time=even[::stride],
         position=q[::stride],
         velocity=dq[::stride],
-        acceleration=derivative(dq)[::stride],
+        acceleration=_derivative(dq, sampled)[::stride],
         torque=_filtered(raw, cut_off, sampled, stride),
         inner=slice(edge, count - edge),
         noise=_noise(raw, moved, turning, cut_off, sampled),
         measured=np.ptp(arm.torque, axis=0) > 0.0,
         motor_position=theta[::stride],
         motor_velocity=dtheta[::stride],
-        motor_acceleration=derivative(dtheta)[::stride],
+        motor_acceleration=_derivative(dtheta, sampled)[::stride],
         deflection=_filtered(motors - positions, cut_off, sampled, stride),
         deflection_noise=_noise(motors - positions, moved, turning, cut_off, sampled),
         cut_off=cut_off,

@@ -159,3 +159,33 @@ def test_dry_friction_turns_where_the_joint_does_and_not_where_its_low_passed_ve
     dry = {"joint_coulomb_friction": {"coulomb_joint1": coulomb}}
     rest = balance.recorded - balance.predict(with_effects(mapping, dry))
     assert np.std(rest) < 0.02 * coulomb
+
+
+@pytest.mark.parametrize("rate", [50.0, 500.0])
+def test_the_torque_of_a_fast_motion_is_predicted_down_to_its_noise(rate: float, tmp_path: Path) -> None:
+    """Swings of 1.6 Hz, half the cut-off. Kills: the model of a motion that is smoothed at the cut-off itself."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
+    model, noise = with_effects(mapping, {}).robot_model(ARM), 0.02  # N m
+    frequencies = np.array([0.31, 0.43, 0.29]), np.array([1.6, 1.3, 1.1])
+    columns = swinging(model, np.arange(0.0, 40.0, 1.0 / rate), 0.0, frequencies, (0.5, 0.3))
+    columns["effort"] += np.random.default_rng(4).normal(0.0, noise, columns["effort"].shape)
+    balance = balance_of_links(tmp_path, mapping, columns)
+    residual = balance.recorded - balance.predict(with_effects(mapping, {}))
+    white = noise * np.sqrt(mapping.low_pass / (0.5 * rate))
+    assert np.all(0.7 * white < residual.std(axis=0)) and np.all(residual.std(axis=0) < 1.4 * white)
+
+
+def test_a_velocity_from_differences_of_a_coarse_encoder_does_not_stand_still_at_reversals(tmp_path: Path) -> None:
+    """16 bits a turn in 2 ms are steps of 0.05 rad/s. Kills: friction by the recorded velocity."""
+    mapping, time = mapping_of(tmp_path, slender_arm(("revolute",))), np.arange(0.0, 40.0, 0.002)
+    model, coulomb = with_effects(mapping, {}).robot_model(ARM), 1.0
+    columns = swinging(model, time, 0.0, (np.array([0.2]), np.array([0.5])), (0.3, 0.05))
+    columns["effort"] += coulomb * np.tanh(columns["velocity"] / 0.005)
+    step = 2.0 * np.pi / 2**16
+    columns["position"] = step * np.round(columns["position"] / step)
+    columns["velocity"] = np.gradient(columns["position"], 0.002, axis=0)
+    balance = balance_of_links(tmp_path, mapping, columns)
+    residual = balance.recorded - balance.predict(
+        with_effects(mapping, {"joint_coulomb_friction": {"coulomb_joint1": coulomb}})
+    )
+    assert np.std(residual) < 0.02 * coulomb
