@@ -19,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.table import Table
 from rich.text import Text
 
+from impact_rs_commands.declaration import NAMED, READ, WRITTEN, Kind
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.progress import ProgressFile
 from impact_rs_sim.questions import PageQuestions
@@ -214,27 +215,34 @@ Action = Callable[[argparse.Namespace, Terminal], int]
 
 
 def check_outputs(args: argparse.Namespace) -> None:
-    """Check that results are written neither into a bag nor over one of their inputs.
+    """Check that results are written neither into a bag, nor over one of their inputs, nor over each other.
 
     Raises:
         InputError: They would be.
     """
-    written = args.command.written
-    for name in written:
-        output = getattr(args, name, None)
-        if not isinstance(output, (str, Path)) or is_url(output):
-            continue
-        target = Path(output).resolve()
+    inputs = {Path(path).resolve() for _, path in _paths(args, READ) if os.path.exists(path)}
+    inputs |= {Path(path).resolve() for _, path in _paths(args, NAMED) if os.path.isfile(path)}  # not shipped
+    outputs: dict[Path, Kind] = {}
+    for kind, path in _paths(args, WRITTEN):
+        target = Path(path).resolve()
         if bag := next((folder for folder in (target, *target.parents) if is_bag(folder)), None):
-            raise InputError(f"lies inside the bag {bag}; bags are never changed, choose another folder", file=output)
-        for input_name, value in vars(args).items():
-            if input_name in (*written, "scenario") or not isinstance(value, (str, Path)) or not os.path.exists(value):
-                continue  # the name of a scenario may also name a folder
-            if target == Path(value).resolve():
-                raise InputError(
-                    "is an input of this command and would be overwritten; choose another path for the results",
-                    file=output,
-                )
+            raise InputError(f"lies inside the bag {bag}; bags are never changed, choose another folder", file=path)
+        if target in inputs:
+            raise InputError(
+                "is an input of this command and would be overwritten; choose another path for the results", file=path
+            )
+        if "new_file" in (kind, outputs.get(target)) and target in outputs:
+            raise InputError("is the path of two results of this command; choose another path for one", file=path)
+        outputs[target] = kind
+
+
+def _paths(args: argparse.Namespace, kinds: tuple[Kind, ...]) -> Iterator[tuple[Kind, str | Path]]:
+    """Values of the options of these kinds, with the kind; without URLs."""
+    for option in args.command.options:
+        value = getattr(args, option.name, None) if option.kind in kinds else None
+        for path in value if isinstance(value, (list, tuple)) else (value,):
+            if isinstance(path, (str, Path)) and not is_url(path):
+                yield option.kind, path
 
 
 def run(action: Action, args: argparse.Namespace) -> int:

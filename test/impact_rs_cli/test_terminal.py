@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bar of a command on a terminal."""
+"""The bar of a command on a terminal, and the check of the paths of its results."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 from rich.progress import Progress
 
 from impact_rs_cli import terminal
-from impact_rs_cli.terminal import _TimeLeft
+from impact_rs_cli.main import parser
+from impact_rs_cli.terminal import _TimeLeft, check_outputs
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.progress import ProgressFile
 
 
@@ -33,3 +37,36 @@ def test_a_bar_shows_the_time_left_of_the_whole_command(
     for passed in (0.0, 0.6):
         monkeypatch.setattr(terminal.time, "time", lambda passed=passed: 100.0 + passed)
         assert column.render(progress.tasks[0]).plain == f"{left - passed:.0f} s left"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "evidence merge north.json south.json -o south.json",
+        "evidence merge north.json south.json -o ./north.json",
+        "design --scenarios push mine.yaml --budget 6 -o mine.yaml",
+        "friction identify mine.yaml -o mine.yaml",
+        "diagnose south.json -o new.json --report new.json",
+    ],
+)
+def test_a_result_is_written_neither_over_an_input_nor_over_another_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
+    """Kills: inputs that an option takes several of are not compared, nor a scenario, nor two results."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("north.json", "south.json", "mine.yaml"):
+        Path(name).touch()
+    args = parser().parse_args(line.split())
+    with pytest.raises(InputError, match="choose another path"):
+        check_outputs(args)
+
+
+@pytest.mark.parametrize("line", ["trial push juice 2 -o push", "trial push juice 2 -o juice", "compare -o a --mcap a"])
+def test_results_may_go_into_a_folder_that_has_a_name_of_a_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
+    """Kills: a folder is taken for an input, because a scenario or an object has its name."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("push", "juice"):
+        Path(name).mkdir()
+    check_outputs(parser().parse_args(line.split()))
