@@ -328,7 +328,7 @@ def _scatter(
     moved = replace(
         object_state,
         position=object_state.position + np.append(shift, 0.0),
-        rotation=object_state.rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, yaw),
+        rotation=pin.rpy.rpyToMatrix(0.0, 0.0, yaw) @ object_state.rotation,  # about z of A
     )
     started = {name: q + scatter.joint_position * rng.standard_normal(q.size) for name, q in initial.items()}
     return replace(physics, support_friction=max(0.0, friction)), started, moved

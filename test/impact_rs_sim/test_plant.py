@@ -262,6 +262,16 @@ def test_trials_scatter_as_the_scenario_says(plan):
     np.testing.assert_allclose(np.array(yaws)[:, :2], 0.0, atol=1e-9)
 
 
+def test_a_turned_object_is_scattered_about_the_vertical(plan):
+    """Kills: the yaw turns about z of the object, which lies, and tips it into its support."""
+    lying = replace(plan.scene.object, rotation=pin.rpy.rpyToMatrix(np.pi / 2.0, 0.0, 0.0))
+    plant = make_plant(replace(plan, scene=replace(plan.scene, object=lying)), 0)
+    turn = pin.log3(plant.truth().object.rotation @ lying.rotation.T)
+    plant.close()
+    np.testing.assert_allclose(turn[:2], 0.0, atol=1e-9)
+    assert abs(turn[2]) > 1e-5
+
+
 def test_a_trial_ends_when_its_time_is_up(plan):
     short = plan.scene.scenario.timing.model_copy(update={"duration": 0.003})
     scenario = plan.scene.scenario.model_copy(update={"timing": short})
