@@ -154,11 +154,12 @@ class Scene:
                     f"cases.{case_name}, robots.{name}.impact of scenario {scenario.name!r}: {error}"
                 ) from None
             if np.any(np.abs(dq) > model.velocity_max):
-                joint = int(np.argmax(np.abs(dq) / model.velocity_max))
+                joints, limits = (values[model.facts.base_size :] for values in (dq, model.velocity_max))
+                joint = int(np.argmax(np.abs(joints) / limits))
                 unit = model.facts.units[joint].velocity
                 raise Infeasible(
-                    f"cases.{case_name}: arm {name!r} needs {dq[joint]:.3g} {unit} in joint {joint + 1}, "
-                    f"its limit is {model.velocity_max[joint]:.3g} {unit}"
+                    f"cases.{case_name}: arm {name!r} needs {joints[joint]:.3g} {unit} in joint {joint + 1}, "
+                    f"its limit is {limits[joint]:.3g} {unit}"
                 )
             models[name] = model
             arms[name] = ArmState(q, dq)

@@ -180,6 +180,13 @@ def test_mirrored_hands_stop_a_box_between_them(floating: bool) -> None:
         assert kinetic_energy(problem) > 0.05 > 1e-9 > kinetic_energy(problem, result)
 
 
+@pytest.mark.parametrize("floating", [False, True])
+def test_hands_that_are_too_fast_are_refused_with_joint_and_unit(floating: bool) -> None:
+    """Kills: the components of a floating base are counted as joints."""
+    with pytest.raises(Infeasible, match=r"needs -10 rad/s in joint 2, its limit is 9 rad/s"):
+        scene_of(hands_scenario(floating, left=[0.0, -3.0, 0.0], right=[0.0, 1.5, 0.0]))
+
+
 def test_a_hit_of_the_left_hand_moves_the_right_one_over_the_torso() -> None:
     """The right hand rests at the box: by Gauss' principle with one contact on each hand and all velocities in one row.
 
