@@ -37,10 +37,11 @@ class RestitutionEffect(SceneEffect):
     """More or less restitution than assumed; the sum stays between 0 and 1."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
-        """See :meth:`Effect.bounds`; the change may be negative, down to minus the assumed restitution."""
+        """See :meth:`Effect.bounds`; down to minus the assumed restitution, unless a user gives a higher lower end."""
         lower, upper = super().bounds(physics)
         assumed = physics.restitution + physics.bounce
-        return np.minimum(lower, 0.0 - assumed), np.minimum(upper, 1.0 - assumed)
+        given = self.parameters[0].firm
+        return np.maximum(np.where(given, lower, -np.inf), 0.0 - assumed), np.minimum(upper, 1.0 - assumed)
 
 
 @dataclass(frozen=True)

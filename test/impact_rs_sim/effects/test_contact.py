@@ -315,3 +315,12 @@ def test_the_moment_does_nothing_to_a_box_that_slides_on_its_face():
         for one in (physics, switched_on(physics, "rolling_resistance", arm=4e-3))
     ]
     np.testing.assert_allclose(found[1].box, found[0].box, atol=5e-5)  # where Bullet's solver stops, step by step
+
+
+def test_the_range_of_a_user_for_restitution_is_not_widened():
+    """Kills: the lower end given by a user falls to minus the assumed restitution."""
+    physics, effect = replace(bench(), restitution=0.5), library()["restitution"]
+    given = effect.with_parameters(lambda own: own.within(0.0, 0.2))
+    wide = effect.with_parameters(lambda own: own.within(-0.9, 0.9))
+    for bounded, expected in ((given, [0.0, 0.2]), (wide, [-0.5, 0.5]), (effect, [-0.5, 0.5])):
+        assert np.concatenate(bounded.bounds(physics)) == pytest.approx(expected)
