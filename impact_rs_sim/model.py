@@ -26,7 +26,7 @@ from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.effects.base import PRISMATIC_UNITS, Joints, Parameter
 from impact_rs_sim.effects.contact import FORMER
 from impact_rs_sim.effects.each_arm import EachArm, of_each
-from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
+from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec, FormulaSpecs
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import is_file, write_whole
 from impact_rs_sim.paths import config_directory
@@ -68,7 +68,7 @@ class Model(Schema):
         {},
         description="joints, how many or how each moves, of arms with parameters of their own; none: arms share",
     )
-    formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects")
+    formulas: FormulaSpecs = Field((), description="user-defined effects")
     effects: tuple[ModelEffect, ...] = Field((), description="effects that are switched on, in order")
 
     @property

@@ -54,10 +54,10 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, Self, get_args
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from impact_rs_sim.effects.base import SINGLE_IMPACT, Effect, Parameter, Values, digest, number
 from impact_rs_sim.errors import InputError
@@ -298,10 +298,20 @@ class FormulaSpec(Schema):
         return self
 
 
+def _with_names_of_their_own(specs: tuple[FormulaSpec, ...]) -> tuple[FormulaSpec, ...]:
+    names = [spec.name for spec in specs]
+    if repeated := {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"two effects have the name {min(repeated)!r}; expected a name of its own for each of them")
+    return specs
+
+
+FormulaSpecs = Annotated[tuple[FormulaSpec, ...], AfterValidator(_with_names_of_their_own)]
+
+
 class FormulaFile(Schema):
     """A YAML file of formula effects."""
 
-    effects: tuple[FormulaSpec, ...] = Field(min_length=1, description="effects as formulas")
+    effects: FormulaSpecs = Field(min_length=1, description="effects as formulas")
 
 
 class FormulaEffect(Effect):

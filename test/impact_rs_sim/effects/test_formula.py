@@ -8,6 +8,7 @@ import pickle
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from trials import nominal_physics, plan_of
@@ -18,6 +19,7 @@ from impact_rs_sim.effects.dimensions import TORQUE, check_units, dimension_of, 
 from impact_rs_sim.effects.formula import Formula, FormulaEffect, FormulaParameter, FormulaSpec, load_formulas
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory, lag_along
+from impact_rs_sim.model import parse_model
 from impact_rs_sim.physics import LoadState
 
 # ---- what a formula means -------------------------------------------------------------------------------------------
@@ -176,6 +178,17 @@ def test_file_and_place_are_named(tmp_path):
     )
     with pytest.raises(InputError, match=r"mine\.yaml.*unknown symbol 'vv'"):
         load_formulas(path)
+
+
+def test_two_effects_of_one_name_are_refused(tmp_path):
+    """Kills: the second of two formulas takes the place of the first without a word, in a file and in a model."""
+    twice = [spec().model_dump(mode="json") for _ in range(2)]
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump({"effects": twice}))
+    with pytest.raises(InputError, match=rf"mine\.yaml: effects.*two effects have the name '{twice[0]['name']}'"):
+        load_formulas(path)
+    with pytest.raises(InputError, match=r"m\.yaml: formulas.*two effects"):
+        parse_model(yaml.safe_dump({"name": "m", "formulas": twice}), "m.yaml")
 
 
 def test_a_single_impact_has_no_memory(tmp_path):
