@@ -176,8 +176,8 @@ def check_model(model: Model, file: str | Path) -> Model:
     """Check a model against the effects it names.
 
     Raises:
-        InputError: An unknown effect or parameter, a missing one, a wrong unit, a value out of bounds, or effects with
-            unequal numbers of joints.
+        InputError: An unknown or repeated effect, an unknown or missing parameter, a wrong unit, a value out of bounds,
+            or effects with unequal numbers of joints.
     """
     try:
         known_effects = model.known_effects
@@ -189,6 +189,13 @@ def check_model(model: Model, file: str | Path) -> Model:
         if item.name not in known_effects:
             raise InputError(
                 f"unknown effect; known effects: {', '.join(sorted(known_effects))}",
+                file=file,
+                key=f"{key}.name",
+                value=item.name,
+            )
+        if item.name in {earlier.name for earlier in model.effects[:index]}:
+            raise InputError(
+                "this effect stands here twice, and would act twice; remove one",
                 file=file,
                 key=f"{key}.name",
                 value=item.name,

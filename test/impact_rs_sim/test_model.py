@@ -92,9 +92,16 @@ def mass(scale):
 
 
 def test_every_effect_of_a_model_is_applied_on_top_of_those_before(physics):
-    both = checked(mass(1.2), mass(1.5), item("joint_stiffness", scale=0.5)).apply(physics)
-    assert both.object.mass == pytest.approx(1.2 * 1.5 * physics.object.mass)
-    assert both.arms["arm"].stiffness == pytest.approx(0.5 * physics.arms["arm"].stiffness)
+    both = checked(item("pad_compliance", scale=0.25), item("restitution", restitution=0.3)).apply(physics)
+    softer = checked(item("pad_compliance", scale=0.25)).apply(physics)
+    assert both.arms["arm"].pad_stiffness == softer.arms["arm"].pad_stiffness
+    assert both.arms["arm"] == checked(item("restitution", restitution=0.3)).apply(softer).arms["arm"]
+
+
+def test_an_effect_that_stands_twice_is_refused():
+    """Kills: it acts twice, so that two masses of 1.5 times the assumed one make 2.25 times."""
+    with pytest.raises(InputError, match=r"m\.yaml: effects\.1\.name = 'object_mass': this effect stands here twice"):
+        checked(mass(1.5), mass(1.5))
 
 
 def test_a_child_replaces_an_estimate_and_names_its_parent(physics):
