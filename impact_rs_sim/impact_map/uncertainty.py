@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.contacts import SUPPORT
+from impact_rs_sim.impact_map.contacts import OBJECT, SUPPORT
 from impact_rs_sim.impact_map.derivatives import all_velocities, change, differentiate, parameters_of, velocity_names
 from impact_rs_sim.impact_map.laws import solve_contacts, states
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
@@ -42,8 +42,6 @@ from impact_rs_sim.scenarios.scenario import Uncertainties
 SWITCHES = 0.02
 SEED = 0  # of the draws
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
-HITS = ("hits the object", "does not hit the object")
-MEETS_SUPPORT = ("the object presses on its support", "the object does not press on its support")
 SOURCES = (
     "motor_inertia",
     "link_inertia",
@@ -60,6 +58,7 @@ SOURCES = (
 )
 _TAILS = ((1.0 - CONFIDENCE_LEVEL) / 2.0, (1.0 + CONFIDENCE_LEVEL) / 2.0)
 _LAWFUL = 1e-5  # m/s, largest residual of an accepted draw
+_ContactState = tuple[str, str, str]  # body and partner of a contact point, and its state
 
 
 class Stopped(Exception):
@@ -292,8 +291,8 @@ def answer_of(
     models: Mapping[str, RobotModel],
     amounts: Mapping[str, float],
     pads: frozenset[str] | None = None,
-) -> tuple[Array, tuple[str, ...]]:
-    """All velocities ``(k,)`` with changed parameters, and partner and state of every contact point.
+) -> tuple[Array, tuple[_ContactState, ...]]:
+    """All velocities ``(k,)`` with changed parameters, and body, partner and state of every contact point.
 
     Pads that touch in the prediction move on until they touch.
 
@@ -313,8 +312,8 @@ def answer_of(
     velocity = system.velocity + terms.response @ impulses.ravel()
     if not terms.residual(impulses, velocity).largest <= _LAWFUL:
         raise ImpactMapError("no answer obeys the laws")
-    states_ = zip((contact.partner for contact in terms.contacts), states(terms, impulses), strict=True)
-    return all_velocities(system, velocity), tuple(" ".join(partner_and_state) for partner_and_state in states_)
+    contacts = zip(terms.contacts, states(terms, impulses), strict=True)
+    return all_velocities(system, velocity), tuple((point.body, point.partner, state) for point, state in contacts)
 
 
 def _sample(
@@ -322,8 +321,8 @@ def _sample(
     models: Mapping[str, RobotModel],
     drawn_changes: Sequence[Mapping[str, float]],
     stopped: Callable[[], bool] = lambda: False,
-) -> tuple[Array, list[tuple[str, ...]], int]:
-    """Velocities of draws ``(n, k)``, partners and states of their contact points, number of draws without answer."""
+) -> tuple[Array, list[tuple[_ContactState, ...]], int]:
+    """Velocities of draws ``(n, k)``, states of their contact points, number of draws without answer."""
     sample, contacts_of_draws = [], []
     pads = touching_pads(problem, models)
     for amounts in drawn_changes:
@@ -352,24 +351,30 @@ def _ends(sample: Array, nominal: Array) -> tuple[Array, Array]:
     return np.minimum(low, nominal), np.maximum(high, nominal)
 
 
-def _switches(nominal_contacts: tuple[str, ...], draws: Sequence[tuple[str, ...]]) -> dict[str, float]:
+def _switches(
+    nominal_contacts: tuple[_ContactState, ...], draws: Sequence[tuple[_ContactState, ...]]
+) -> dict[str, float]:
     """Differences of contact states between draws and prediction, in words, with their share, most frequent first."""
     words = Counter(text for contacts in draws for text in _differences(nominal_contacts, contacts))
     return {text: count / len(draws) for text, count in words.most_common()}
 
 
-def _differences(nominal_contacts: tuple[str, ...], contacts: tuple[str, ...]) -> list[str]:
+def _differences(nominal_contacts: tuple[_ContactState, ...], contacts: tuple[_ContactState, ...]) -> list[str]:
     """Differences of the contacts of one draw, in words; an open point transmits no impulse."""
     differences = []
-    for partner in dict.fromkeys(state.split()[0] for state in (*nominal_contacts, *contacts)):
+    pairs = dict.fromkeys((body, partner) for body, partner, _ in (*nominal_contacts, *contacts))
+    for pair in pairs:
         before, after = (
-            [state.split()[1] for state in states if state.split()[0] == partner]
-            for states in (nominal_contacts, contacts)
+            [state for *bodies, state in states if tuple(bodies) == pair] for states in (nominal_contacts, contacts)
         )
         loaded_before, loaded_now = (
             [state for state in contact_states if state != "open"] for contact_states in (before, after)
         )
-        meets, not_meets = MEETS_SUPPORT if partner == SUPPORT else (f"{partner} {text}" for text in HITS)
+        body, partner = (f"the {name}" if name == OBJECT else name for name in pair)
+        if partner == SUPPORT:
+            meets, not_meets = f"{body} presses on its support", f"{body} does not press on its support"
+        else:
+            meets, not_meets = f"{partner} hits {body}", f"{partner} does not hit {body}"
         if loaded_before and not loaded_now:
             differences.append(f"{not_meets}, in the prediction it does")
         elif loaded_now and not loaded_before:

@@ -189,15 +189,26 @@ def test_an_interval_contains_its_own_prediction(draws: int) -> None:
 
 
 def test_contacts_that_switch_are_said_in_words() -> None:
-    usual = ("arm stick", "arm stick", "support open")
-    draws = [("arm open", "arm slide", "support open"), ("arm open", "support stick"), ("arm slide", "arm stick")]
-    assert _switches(usual, draws) == {
+    stick, slide, away = (("object", "arm", state) for state in ("stick", "slide", "open"))
+    lifted, loaded = (("object", "support", state) for state in ("open", "stick"))
+    usual = (stick, stick, lifted)
+    assert _switches(usual, [(away, slide, lifted), (away, loaded), (slide, stick)]) == {
         "arm hits the object at 1 point, in the prediction at 2": pytest.approx(1 / 3),
         "arm does not hit the object, in the prediction it does": pytest.approx(1 / 3),
         "the object presses on its support, in the prediction not": pytest.approx(1 / 3),
         "arm hits the object and sticks or slides otherwise than in the prediction": pytest.approx(1 / 3),
     }
     assert _switches(usual, [usual] * 3) == {}
+
+
+def test_contacts_of_a_neighbour_are_named_after_it() -> None:
+    """Kills: contacts are told apart by their partner alone, so that "object hits the object" is said."""
+    stick, slide = (("second", "object", state) for state in ("stick", "slide"))
+    lifted, loaded = ([(body, "support", state) for body in ("object", "second")] for state in ("open", "stick"))
+    assert _switches((stick, *lifted), [(slide, lifted[0], loaded[1])]) == {
+        "the object hits second and sticks or slides otherwise than in the prediction": 1.0,
+        "second presses on its support, in the prediction not": 1.0,
+    }
 
 
 def test_a_prediction_that_nobody_waits_for_ends_at_its_next_draw() -> None:
