@@ -30,7 +30,7 @@ from impact_msgs_py.conversions import (
 )
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_sim.errors import InputError, full_traceback
-from impact_rs_sim.impact_map import ImpactMapError, engine_name, predict_impact
+from impact_rs_sim.impact_map import ImpactMapError, predict_impact
 from impact_rs_sim.impact_map.contacts import OBJECT
 from impact_rs_sim.impact_map.derivatives import differentiate, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
@@ -115,7 +115,7 @@ class ImpactMapNode(NodeProgram):
         self, request: PredictImpact.Request, response: PredictImpact.Response, problem: ImpactProblem, scene: Scene
     ) -> str:
         response.contact = request.contact or self.parameter("contact")
-        result = predict_impact(problem, response.contact, engine_name(request.engine or self.parameter("engine")))
+        result = predict_impact(problem, response.contact, request.engine or self.parameter("engine"))
         response.engine = result.engine  # the settled contact has only one
         if response.contact == "first":
             several = uniqueness_of(problem, scene.models)

@@ -62,8 +62,15 @@ _lock = threading.Lock()
 
 
 def engine_name(name: str) -> str:
-    """Present name of an engine; ``name`` may be that of an older version."""
-    return FORMER_NAMES.get(name, name)
+    """Present name of an engine; ``name`` may be that of an older version.
+
+    Raises:
+        InputError: There is no such engine.
+    """
+    engine = FORMER_NAMES.get(name, name)
+    if engine not in ENGINES:
+        raise InputError(f"no impact-map engine {engine!r}; known engines: {', '.join(ENGINES)}")
+    return engine
 
 
 def compute_impact_map(problem: ImpactProblem, engine: str = DEFAULT_ENGINE) -> ImpactResult:
@@ -80,8 +87,6 @@ def compute_impact_map(problem: ImpactProblem, engine: str = DEFAULT_ENGINE) -> 
         ImpactMapError: The result breaks a law by more than the engine's tolerance.
     """
     engine = engine_name(engine)
-    if engine not in ENGINES:
-        raise InputError(f"no impact-map engine {engine!r}; known engines: {', '.join(ENGINES)}")
     with _lock:
         # An engine refers to its physics, so no other object can get this id while the entry exists.
         key = (id(problem.physics), engine)
@@ -109,4 +114,5 @@ def predict_impact(problem: ImpactProblem, contact: str = "first", engine: str =
     """
     if contact not in CONTACTS:
         raise InputError(f"no contact {contact!r}; known: {', '.join(CONTACTS)}")
+    engine = engine_name(engine)
     return settle(problem) if contact == "settled" else compute_impact_map(problem, engine)

@@ -333,3 +333,10 @@ def test_the_contact_is_chosen_by_name() -> None:
 
 def test_the_push_scene_is_the_papers() -> None:
     assert -settle(ImpactProblem.at_nominal_impact(SCENE)).end_effector_twist["arm"][1] == pytest.approx(0.55, abs=0.01)
+
+
+def test_an_engine_that_does_not_exist_is_refused_for_the_settled_contact_too() -> None:
+    """Kills: the name of the engine is checked only where an engine is used."""
+    with pytest.raises(InputError, match="no impact-map engine 'nonsense'; known engines: exact, bullet"):
+        predict_impact(nominal(), "settled", "nonsense")
+    assert predict_impact(nominal(), "settled", "pinocchio").engine == "exact"
