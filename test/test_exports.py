@@ -31,6 +31,13 @@ def test_every_exported_name_is_there_and_known_to_type_checkers(package: str) -
     assert typed == {(f"{package}.{place}", name) for place, names in module.MODULES.items() for name in names}
 
 
+@pytest.mark.parametrize("package", ["sim.descriptions", "sim.effects", "sim.impact_map", "analysis.report"])
+def test_every_name_of_all_is_there(package: str) -> None:
+    """Kills: a name in __all__ that the package no longer has."""
+    module = importlib.import_module(f"impact_rs_{package}")
+    assert [name for name in module.__all__ if not hasattr(module, name)] == []
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_name_that_is_not_exported_is_an_attribute_error(package: str) -> None:
     """Kills a KeyError, which hasattr and pickle do not expect."""

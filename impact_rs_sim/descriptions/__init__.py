@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from impact_rs_sim.descriptions import drake, mjcf, urdf_scene, usd_physics
 from impact_rs_sim.descriptions.exported_scene import PADS, ExportedQuantity, ExportedScene
 
-__all__ = ["FORMATS", "PADS", "DescriptionFormat", "ExportedScene", "ExportedQuantity", "Written"]
+__all__ = ["FORMATS", "PADS", "DescriptionFormat", "ExportedScene", "ExportedQuantity", "ExportedFile"]
 
 
 @dataclass(frozen=True)
