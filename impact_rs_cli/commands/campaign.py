@@ -149,6 +149,7 @@ def plan_of(args: argparse.Namespace) -> ExperimentPlan | None:
         "--scales": args.scales,
         "--trials": args.trials,
         "--seed": args.seed or None,
+        "--order": None if args.order == "random" else args.order,
         "--set": args.settings or None,
         "--sensitivity": args.sensitivity or None,
     }

@@ -58,6 +58,7 @@ MISTAKES = {
     "campaign -o {}/new/out": "SCENARIO|--plan FILE.yaml",
     "campaign push --plan plan.yaml -o {}/new/out": "SCENARIO|--plan",
     "campaign --plan {}/none.yaml -o {}/new/out": "none.yaml",
+    "campaign --plan plan.yaml --order listed -o {}/new/out": "--order|--plan",  # kills: it is ignored without a word
     "campaign push -o {}/new --trials x": "--trials|'x'",
     f"{CAMPAIGN} --trials 0": "--trials|1|0",
     f"{CAMPAIGN} --seed -1": "--seed|0|-1",
