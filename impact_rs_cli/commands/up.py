@@ -56,7 +56,7 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
         ) as graph:
             started = True
             names = [*graph.processes, *(f"{name} (yours)" for name in graph.foreign)]
-            first_trial = loaded.name, next(iter(loaded.objects)), next(iter(loaded.cases))
+            first_trial = next(iter(loaded.objects)), next(iter(loaded.cases))
             print(_instructions(names, *first_trial, full_namespace(namespace)), flush=True)
             while not stopping:
                 for line in graph.replace_lost():
@@ -72,8 +72,9 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
     return 0
 
 
-def _instructions(nodes: Sequence[str], scenario: str, object_name: str, case: str, namespace: str) -> str:
-    trial_fields = f"{{scenario: {scenario}, object_name: {object_name}, case_name: {case}"
+def _instructions(nodes: Sequence[str], object_name: str, case: str, namespace: str) -> str:
+    """How to call the nodes; requests without a scenario are for that of the nodes."""
+    trial_fields = f"{{object_name: {object_name}, case_name: {case}"
     return "\n".join(
         (
             f"The nodes are up: {', '.join(nodes)}. Ctrl-C stops them.",
