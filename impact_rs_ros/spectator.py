@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import time
 from collections.abc import Iterator
@@ -188,7 +189,7 @@ class Spectator:
             self._take_pose(topic, data)
         elif topic.endswith("/controller_state"):
             message = decoded(data, message_type(topics.CONTROLLER_STATE))
-            if message is not None:
+            if message is not None and math.isfinite(message.trial_time):
                 self._update(time=message.trial_time)
         else:
             signals = joint_signals(data)

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_graph import FakeGraph, fake_graph
-from impact_rs.msg import CellChange, ChangeCause, HitPrediction, PredictedValue, RefusedHit
+from impact_rs.msg import CellChange, ChangeCause, ControllerState, HitPrediction, PredictedValue, RefusedHit
 from processes import until as until_true
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from impact_rs_ros.spectator import FOLLOWED, Spectator
@@ -136,6 +137,15 @@ def test_positions_without_a_number_and_unseen_objects_are_left_out(graph: FakeG
     graph.joints("arm", np.full(7, np.nan), 0.1)
     until(spectator, lambda seen: seen.object is None, lambda: graph.object(np.zeros(7)))
     assert spectator.look().positions == {}
+
+
+@pytest.mark.parametrize("time", [math.nan, math.inf])
+def test_a_trial_time_without_a_number_is_left_out(spectator: Spectator, time: float) -> None:
+    """Kills: the time of a controller of others is taken as it comes; the live page cannot write NaN, and ended."""
+    topic = topics.controller_state("arm")
+    for trial_time in (0.25, time):
+        spectator._take_state(topic, serialize_message(ControllerState(trial_time=trial_time)))
+    assert spectator.look().time == 0.25
 
 
 def test_what_identify_publishes_is_kept_through_trials_with_every_change_once(
