@@ -178,6 +178,8 @@ def _arms(joint_state: JointState, physics: Physics) -> dict[str, ArmState]:
                 f"expected {len(joint_state.name)} values, one per name, got {len(getattr(joint_state, name))}",
                 key=f"joint_state.{name}",
             )
+    if repeated := [name for name in dict.fromkeys(joint_state.name) if joint_state.name.count(name) > 1]:
+        raise InputError(f"expected every joint once, {', '.join(repeated)} stands there again", key="joint_state.name")
     states = dict(zip(joint_state.name, zip(joint_state.position, joint_state.velocity, strict=True), strict=True))
     arms, all_joints = {}, joints_of(physics)
     for arm, joints in all_joints.items():

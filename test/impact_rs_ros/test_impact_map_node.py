@@ -240,7 +240,16 @@ BAD: dict[str, tuple[Callable[[Scene], dict[str, object]], str]] = {
         lambda s: {"joint_state": joints(s, name=[f"leg_joint{number}" for number in range(1, 8)])},
         "no joint leg_joint1, ",
     ),
-    "joint twice": (lambda s: {"joint_state": joints(s, name=["arm_joint1"] * 7)}, "arm_joint2"),
+    "joint twice": (  # kills: the last of its values counts
+        lambda s: {
+            "joint_state": joint_state_to_message(
+                [*(f"arm_joint{number}" for number in range(1, 8)), "arm_joint1"],
+                [*s.arms["arm"].position, 2.0],
+                [*s.arms["arm"].velocity, 0.0],
+            )
+        },
+        "expected every joint once, arm_joint1",
+    ),
     "non-finite position": (lambda s: {"joint_state": joints(s, position=[math.nan] * 7)}, "finite"),
     "infinite velocity": (lambda s: {"joint_state": joints(s, velocity=[math.inf] * 7)}, "finite"),
     "too few positions": (lambda s: {"joint_state": joints(s, position=[0.0] * 6)}, "7 values"),
