@@ -393,13 +393,18 @@ def _is_recording(path: Path) -> bool:
 
 @cached_until_change
 def _is_table_of_impacts(path: Path) -> bool:
-    """Whether the first line of a table has velocities before and after an impact."""
-    if path.suffix != ".csv":
-        return False
+    """Whether columns of a table are velocities before and after an impact."""
     try:
-        with path.open(encoding="utf-8") as file:
-            header = file.readline(MAX_HEADER_CHARACTERS)
-    except (OSError, UnicodeDecodeError):
+        if path.suffix == ".csv":
+            with path.open(encoding="utf-8") as file:
+                header = file.readline(MAX_HEADER_CHARACTERS)
+        elif path.suffix == ".parquet":
+            import pyarrow.parquet
+
+            header = ",".join(pyarrow.parquet.read_schema(path).names)
+        else:
+            return False
+    except Exception:  # gone, no text, no pyarrow; a damaged file can fail anywhere inside pyarrow
         return False
     return "_before" in header and "_after" in header
 

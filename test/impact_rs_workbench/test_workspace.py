@@ -200,6 +200,16 @@ def test_what_commands_have_written_is_no_recording(workspace: Workspace) -> Non
     assert found.tables == ("impacts/lab.csv",)
 
 
+def test_a_table_of_impacts_may_be_in_parquet(workspace: Workspace) -> None:
+    """Kills: a Parquet table of impacts is a recording that nobody has described."""
+    pyarrow, parquet = (pytest.importorskip(name) for name in ("pyarrow", "pyarrow.parquet"))
+    for name, columns in (("tosses", ["vx_before", "vx_after"]), ("log", ["time", "q1"])):
+        table = pyarrow.table({column: [0.1] for column in columns})
+        parquet.write_table(table, workspace.root / f"{name}.parquet")
+    (workspace.root / "broken.parquet").write_text("PAR1")
+    assert workspace.contents().tables == ("tosses.parquet",)
+
+
 def test_robots_and_packages_of_evidence_are_offered(workspace: Workspace) -> None:
     robot = config_directory() / "robots" / "ur5e.yaml"
     shutil.copy(robot, workspace.root / "my_robot.yaml")
