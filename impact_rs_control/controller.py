@@ -160,8 +160,8 @@ class ArmController:
         self._last_finite_position = plan.initial
         self._period = timing.control_period
         self._last_tick = timing.ticks
-        # First tick of the measurement window, and the first one after it.
-        self._window = np.searchsorted(timing.control_period * np.arange(timing.ticks + 1), timing.window)
+        # First tick of the measurement window, and the first one after it; a time on a tick is off by rounding.
+        self._window = [math.ceil(time / timing.control_period - 1e-6) for time in timing.window]
         self._armed_from = timing.nominal_impact - control.detection.arm_before
         self._interim_ticks = control.interim_duration / timing.control_period
         self._interim_start: int | None = None

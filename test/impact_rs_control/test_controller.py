@@ -218,6 +218,19 @@ def test_net_feedback_is_the_sum_of_the_feedback_over_the_window(plan: TrialPlan
     np.testing.assert_array_equal(commands[1500].net_feedback, commands[-1].net_feedback)
 
 
+@pytest.mark.parametrize(
+    ("nominal", "ticks"), [(0.9, [800, 1500]), (0.81, [710, 1410]), (0.99, [890, 1590]), (0.9005, [801, 1501])]
+)
+def test_the_window_begins_and_ends_at_the_first_ticks_from_its_times_on(
+    plan: TrialPlan, nominal: float, ticks: list[int]
+) -> None:
+    """Kills: times are compared to the last bit, so that 0.81 s - 0.1 s = 0.7100000000000001 s is one tick later."""
+    timing = TIMING.model_copy(update={"nominal_impact": nominal})
+    scenario = plan.scene.scenario.model_copy(update={"timing": timing})
+    moved = replace(plan, scene=replace(plan.scene, scenario=scenario))
+    assert list(Controller(moved).arms[ARM]._window) == ticks
+
+
 @pytest.mark.parametrize("every", [2, 7])
 def test_feedback_is_held_over_ticks_that_are_missed(plan: TrialPlan, every: int) -> None:
     """Kills one period per call, which recorded a net feedback too small by the share of missed ticks."""
