@@ -111,7 +111,8 @@ def order_of(data: Any, workspace: Workspace) -> Order:
         suggestion = did_you_mean(name, FORMS) if isinstance(name, str) else ""
         raise InputError(f"expected one of {', '.join(FORMS)}{suggestion}", key="command", value=name)
     command = FORMS[name]
-    form_values = dict(validate(schema_of(command), data, None))
+    given = {key: value for key, value in data.items() if value is not None}  # null: the default of the option
+    form_values = dict(validate(schema_of(command), given, None))
     values = {option.name: _value_of(workspace, option, form_values[option.name]) for option in options_of(command)}
     if name in CHECKS:
         CHECKS[name](workspace, form_values)

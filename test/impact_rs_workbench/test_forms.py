@@ -41,6 +41,14 @@ def test_a_form_has_every_option_of_its_command(client: TestClient, name: str) -
     assert all(field["help"] and field["label"] for field in fields.values())
 
 
+@pytest.mark.parametrize("form", [CAMPAIGN, TRIAL])
+def test_null_is_the_default_of_an_option(client: TestClient, form: dict[str, Any]) -> None:
+    """Kills: a check that computes with null, an internal error (HTTP 500)."""
+    left_out = {option.name: None for option in FORMS[form["command"]].options if option.kind != "json"}
+    assert asked(client, left_out | form) == asked(client, form)
+    assert refused(client, form | {"output": None}).startswith("output: ")
+
+
 @pytest.mark.parametrize("name", ["objects", "cases", "scales"])
 def test_a_campaign_of_nothing_is_not_one_of_everything(client: TestClient, name: str) -> None:
     assert refused(client, CAMPAIGN | {name: []}).startswith(f"{name} = []: expected at least 1 of them, found 0")
