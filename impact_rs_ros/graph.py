@@ -300,19 +300,19 @@ class Graph:
                 if time.monotonic() > deadline:
                     raise GraphError(f"there is no service {client.srv_name}")
                 self.spin(0.02)
-            return self._wait(client.call_async(request), timeout)
+            return self._wait(client.call_async(request), timeout, client.srv_name)
         finally:
             self.node.destroy_client(client)
 
-    def _wait(self, future: Any, timeout: float) -> Any:
-        """Result of a future; ``timeout`` [s] restarts with every feedback on a trial."""
+    def _wait(self, future: Any, timeout: float, awaited: str = "the experiment node") -> Any:
+        """Result of a future of ``awaited``; ``timeout`` [s] restarts with every feedback on a trial."""
         self._last_feedback = time.monotonic()
         while not future.done():
             self.spin(0.1)
             if line := self.lost().get("experiment"):
                 raise GraphError(line)
             if time.monotonic() > self._last_feedback + timeout:
-                raise GraphError(f"the experiment node is silent for {timeout:g} s")
+                raise GraphError(f"{awaited} is silent for {timeout:g} s")
         return future.result()
 
 

@@ -353,10 +353,9 @@ class TrialSession:
                         patience = node_parameters.value(self._node, "progress_timeout")
                     feedback(progress)
                 elif time.monotonic() - alive > patience:
-                    raise TrialError(
-                        f"no progress for {patience:g} s after t = {progress.time:.3f} s: the plant or the controller "
-                        "is gone"
-                    )
+                    since = "" if math.isnan(progress.time) else f" after t = {progress.time:.3f} s"
+                    what = "progress" if since else "state of the controller"
+                    raise TrialError(f"no {what} for {patience:g} s{since}: the plant or the controller is gone")
         finally:
             if not over.is_set():
                 goal.cancel_goal_async()

@@ -25,7 +25,7 @@ from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.presence import announce
 from impact_rs_ros.process import close_goal
 from impact_rs_ros.qos import LATCHED
-from impact_rs_ros.trial_session import MEMBERS, TrialSession
+from impact_rs_ros.trial_session import MEMBERS, Progress, TrialError, TrialSession
 from impact_rs_sim.scenarios.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialKey
@@ -140,6 +140,19 @@ def test_a_trial_that_is_cancelled_cancels_the_goal_of_the_plant(
     actors.endless = False
     assert actors.ended == ["cancelled"]
     assert (result.outcome, result.message) == ("ABORTED", "cancelled")
+
+
+def test_a_controller_without_a_state_is_said_to_have_none(
+    stage: tuple[TrialSession, Actors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kills: "no progress after t = nan s"."""
+    session, actors = stage
+    actors.endless = True
+    with monkeypatch.context() as patched, pytest.raises(TrialError, match=r"no state of the controller for 0\.1 s:"):
+        patched.setattr(node_parameters, "value", lambda *_: 0.1)
+        session._follow(Progress(), PLAN, lambda _: None, lambda: False)
+    until(lambda: actors.ended[-1:] == ["cancelled"], lambda: time.sleep(0.01), "the goal goes on")
+    actors.endless = False
 
 
 @pytest.mark.parametrize(  # in this order: the second controller stays
