@@ -59,7 +59,7 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
     if round_ones := [shape.kind for shape in bodies if not shape.is_box]:
         raise InputError(
             f"a world of Drake has pads and objects that touch with spheres at their corners, which a {round_ones[0]} "
-            "lacks; mjcf and urdf have its shape",
+            "lacks; mjcf has its shape",
             key="format",
             value="drake",
         )

@@ -49,6 +49,7 @@ class ExportedQuantity(Enum):
     SUPPORT_COMPLIANCE = "compliance of the support"
     GRAVITY = "direction of gravity"
     PAD_TILT = "tilt of the pads"
+    HULL = "shape of the object"
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,7 @@ class ExportedScene:
             yield f"{name}: a load from outside the arm, {_named(load)}"
 
     def _of_scene(self, supported: frozenset[ExportedQuantity]) -> Iterator[str]:
-        physics = self.physics
+        physics, shape = self.physics, self.physics.object.shape
         tilts = {
             name: arm.end_effector.pad_tilt for name, arm in physics.arms.items() if any(arm.end_effector.pad_tilt)
         }
@@ -233,6 +234,7 @@ class ExportedScene:
             ExportedQuantity.PAD_TILT: ", ".join(
                 f"{name} {roll:g}, {pitch:g} rad" for name, (roll, pitch) in tilts.items()
             ),
+            ExportedQuantity.HULL: f"a hull of {len(shape.corners)} corners" if shape.kind == "hull" else "",
             ExportedQuantity.CONTACT_FRICTION: f"pads {physics.pad_friction:g}, support {physics.support_friction:g}",
             ExportedQuantity.RESTITUTION: f"{self.restitution:g}" if self.pads == "rigid" else "",
             ExportedQuantity.ROLLING: f"lever {physics.rolling_arm:g} m" if physics.rolling_arm else "",

@@ -53,4 +53,5 @@ def write(scene: ExportedScene) -> tuple[str, list[str]]:
         if object_.fixed
         else "the object floats (joint type 'floating'); at the impact it is at its origin",
         f"joint positions at the impact: {positions}",
+        *(["the object is shown as the box of its extents"] if object_.shape.kind == "hull" else []),
     ]

@@ -19,6 +19,7 @@ from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scene import Scene
+from impact_rs_sim.shapes import hull_of
 
 NOMINAL = load_model("nominal")
 DURATION = 3e-4  # s, after which a rigid impact is over
@@ -202,6 +203,17 @@ def test_urdf_has_joint_friction_and_says_that_it_has_no_motor_inertia() -> None
     assert dynamics is not None
     assert float(dynamics.attrib["friction"]) == pytest.approx(exported.friction("arm")[0][2])
     assert any("motor inertia B" in one for one in written.left_out)
+
+
+@pytest.mark.parametrize("kind", ["urdf", "usd_params", "mjcf"])
+def test_a_format_without_hulls_says_that_the_shape_is_left_out(kind: str) -> None:
+    """Kills: a pyramid that becomes the box of its extents without a word."""
+    exported = ExportedScene.of(scene_of("push", "cat_food", "2"), NOMINAL)
+    top, *base = (0.0, 0.0, 0.05), (0.05, 0.0, -0.05), (-0.05, 0.04, -0.05), (-0.05, -0.04, -0.05)
+    thing = replace(exported.physics.object, shape=hull_of((top, *base)), size=np.array([0.1, 0.08, 0.1]))
+    written = FORMATS[kind].write(replace(exported, physics=replace(exported.physics, object=thing)))
+    assert ("shape of the object, a hull of 4 corners" in written.left_out) == (kind != "mjcf")
+    assert any("box of its extents" in remark for remark in written.remarks) == (kind == "urdf")
 
 
 def test_friction_without_torque_loop_is_that_of_the_motors() -> None:
