@@ -218,6 +218,11 @@ class Plant:
         return self.bullet.links[arm]
 
     @property
+    def control_period(self) -> float:
+        """Period of the controller [s], for extensions."""
+        return self._timing.control_period
+
+    @property
     def time(self) -> float:
         """Time since the start of the trial [s]."""
         return self._tick * self._timing.control_period

@@ -48,23 +48,31 @@ class LooseContents(PlantExtension):
 
 
 class FlexibleBase(PlantExtension):
-    """The base gives way along y like a table on legs, 60 kg over the magnitude at 4 Hz, and shakes the arm."""
+    """The base of every arm gives way along y like a table on legs, 60 kg over the magnitude at 4 Hz, and shakes it."""
 
     def __init__(self, magnitude: float, repeat: int) -> None:
-        self._mass, self._frequency, self._ratio = 60.0, 2.0 * np.pi * 4.0, 0.03
         self._gain = magnitude
-        self._position = self._velocity = 0.0
-        self._momentum: float | None = None
-        self._model: RobotModel | None = None
+        self._bases: dict[str, _Base] = {}
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
-        """Inertial torque -J^T m a of the shaking base: the gravity torque of the model for the gravity a."""
-        if self._model is None:
-            self._model = RobotModel(
-                plant.physics.arms[arm].facts, plant.physics.arms[arm].end_effector, plant.physics.arms[arm].base
-            )
-        model, q = self._model, plant.link_state(arm).position
-        period = 0.001
+        """Inertial torque -J^T m a of the shaking base."""
+        if arm not in self._bases:
+            self._bases[arm] = _Base(self._gain, plant.physics.robot_model(arm))
+        return self._bases[arm].torque(plant, arm)
+
+
+class _Base:
+    """The flexible base of one arm."""
+
+    def __init__(self, gain: float, model: RobotModel) -> None:
+        self._mass, self._frequency, self._ratio = 60.0, 2.0 * np.pi * 4.0, 0.03
+        self._gain, self._model = gain, model
+        self._position = self._velocity = 0.0
+        self._momentum: float | None = None
+
+    def torque(self, plant: Plant, arm: str) -> Array:
+        """Move the base by one period; the torque is the gravity torque of the model for the gravity a."""
+        model, q, period = self._model, plant.link_state(arm).position, plant.control_period
         push = float(plant.world.pad_force(arm)[1])
         # The arm's own acceleration drives the base as well: its momentum along y, by the centre-of-mass Jacobian.
         pin.centerOfMass(model.pinocchio, model.data, q, plant.link_state(arm).velocity)
@@ -160,7 +168,7 @@ class State:
         object_x: Middle of the object, ``(3,)`` [m].
         object_v: Its velocity, ``(3,)`` [m/s].
         support_force: Weight of the object [N].
-        since: Time since the pad first touched the object, 0 before [s].
+        since: Time since a pad first touched the object, 0 before [s].
     """
 
     t: float
@@ -195,7 +203,7 @@ class HiddenLaw(PlantExtension):
     def state(self, plant: Plant, arm: str) -> State:
         """The state of the plant."""
         link, model, body = plant.link_state(arm), self._models[arm], plant.world.object_state()
-        if self._touched is None and np.any(plant.world.pad_force(arm)):
+        if self._touched is None and any(np.any(plant.world.pad_force(name)) for name in self._models):
             self._touched = plant.time
         return State(
             t=plant.time,
@@ -231,7 +239,7 @@ class HiddenLaw(PlantExtension):
             self._on_object(plant, arm)
 
     def _on_object(self, plant: Plant, arm: str) -> None:
-        if plant.free_motion:
+        if plant.free_motion or arm != next(iter(self._models)):  # the hooks are called for every arm
             return
         state = self.state(plant, arm)
         plant.world.push(None, state.object_x, self._law(state))

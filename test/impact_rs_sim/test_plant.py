@@ -17,7 +17,15 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Load, LoadState
 from impact_rs_sim.plant.plant import Plant, PlantExtension
 from impact_rs_sim.plant.sensors import ArmSensors, ObjectTracker
-from impact_rs_sim.plant.unmodelled import LAWS, OUTSIDE, Backlash, DriftingFriction, TorqueRipple
+from impact_rs_sim.plant.unmodelled import (
+    LAWS,
+    OUTSIDE,
+    Backlash,
+    DriftingFriction,
+    FlexibleBase,
+    HiddenLaw,
+    TorqueRipple,
+)
 from impact_rs_sim.scenarios.scenario import Sensors
 from impact_rs_sim.scene import ArmMotion, ArmState
 
@@ -511,6 +519,39 @@ def test_a_larger_outside_effect_changes_a_trial_more(juice: TrialPlan, name: st
         plant.close()
     small, large = (np.linalg.norm(end - ends[0]) for end in ends[1:])
     assert 1e-6 < small < large
+
+
+@pytest.fixture(scope="module")
+def grab() -> TrialPlan:
+    return plan_of("grab", "juice", "case_1")
+
+
+def pushed(grab: TrialPlan, extension: PlantExtension, torque: float = 0.0) -> Plant:
+    """The plant of two arms after ten periods with a further torque on joint 1 of the left one [N m]."""
+    plant = make_plant(grab, 0, extension=extension)
+    hold = {name: grab.scene.models[name].gravity_torque(arm.initial) for name, arm in grab.arms.items()}
+    hold["left"][0] += torque
+    for _ in range(10):
+        plant.step(hold)
+    return plant
+
+
+def test_a_law_of_the_object_acts_once_beside_two_arms(grab: TrialPlan) -> None:
+    """Kills: a push for every arm. Twice the weight upwards lifts the object with g."""
+    weight = grab.scene.physics.object.mass * 9.81
+    plant = pushed(grab, HiddenLaw("object", lambda state: np.array([0.0, 0.0, 2.0 * weight])))
+    speed = plant.world.object_state().twist[2]
+    plant.close()
+    assert speed == pytest.approx(9.81 * 0.01, rel=0.05)
+
+
+def test_the_base_of_an_arm_at_rest_is_still_beside_one_that_moves(grab: TrialPlan) -> None:
+    """Kills: one base whose momentum is that of one arm, then of the other."""
+    base = FlexibleBase(1.0, 0)
+    plant = pushed(grab, base, torque=5.0)
+    left, right = (np.abs(base.joint_torque(plant, name)).max() for name in ("left", "right"))
+    plant.close()
+    assert right < 0.02 * left
 
 
 @pytest.mark.parametrize(("scenario", "name", "case"), [("excite", "none", "slow"), ("push", "juice", "case_1")])
