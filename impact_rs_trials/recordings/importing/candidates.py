@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from collections.abc import Mapping as AbstractMapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
+from itertools import combinations_with_replacement, permutations
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,6 +53,7 @@ MAX_GRIPPER_NUMBERS = 2  # in addition to the numbers of the joints
 MAX_ROWS_READ = 50  # of a table whose columns are listed
 FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
 SIDES = re.compile("left|right", re.IGNORECASE)
+WORD = re.compile(r"[^\W_]+")
 
 
 @dataclass(frozen=True)
@@ -323,7 +325,7 @@ def _numbers(message: Any, prefix: str = "", depth: int = MAX_NESTED_FIELDS) -> 
 
 
 def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
-    """Columns that differ in a number, in a part of an arm, or in all words but one; columns of vectors; poses."""
+    """Columns that differ in a number, in a part of an arm, or in the name of a joint; columns of vectors; poses."""
     candidates = []
     cells = read_columns(path, layout).cells
     columns = list(cells)
@@ -348,7 +350,7 @@ def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
             candidates.append(SignalCandidate(label, {"columns": names}, False, guess_of(pattern), len(names)))
     candidates += [
         candidate
-        for candidate in _alike_but_a_word(columns)
+        for candidate in _of_named_joints(columns)
         if candidate.label not in {listed.label for listed in candidates}
     ]
     named_vectors = list(_named_vectors(path, {column: vector_width(cells[column]) for column in columns}))
@@ -387,17 +389,34 @@ def _named_vectors(path: Path, widths: dict[str, int]) -> Iterator[SignalCandida
                 yield SignalCandidate(label, {**source, "entries": entries}, False, guess, len(indices), joints)
 
 
-def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
-    """Columns of joints that have names: ``lift_position``, ``arm_1_position``, ... or ``tau_lift``, ``tau_arm_1``."""
-    for word_index in (0, -1):
-        groups: dict[str, list[str]] = {}
-        for column in columns:
-            words = [word for word in re.split(r"[\W_]+", column) if word]
-            if len(words) > 1:
-                groups.setdefault(words[word_index], []).append(column)
-        for word, members in groups.items():
-            if 1 < len(members) <= MAX_JOINT_NUMBERS and (guess := guess_of(word)):
-                yield SignalCandidate(f"{members[0]} … {members[-1]}", {"columns": members}, False, guess, len(members))
+def _of_named_joints(columns: Sequence[str]) -> Iterator[SignalCandidate]:
+    """Columns of joints that have names: ``lift_position``, ``arm_1_position``, ... or ``tau_lift``, ``tau_arm_1``.
+
+    The name of a joint stands between words before and words after. A group has the same word before or after, or the
+    joints that occur between two pairs of words: ``q_hip``, ``q_knee`` are a group where ``q_des_hip``, ``q_des_knee``
+    are others.
+    """
+    columns_by_joint: dict[str, dict[str, str]] = {}  # by the words before and after the joint
+    for column in columns:
+        words = list(WORD.finditer(column))
+        for first, last in combinations_with_replacement(words, 2):
+            pattern = f"{column[: first.start()]}…{column[last.end() :]}"
+            if guess_of(pattern):
+                columns_by_joint.setdefault(pattern, {})[column[first.start() : last.end()]] = column
+    groups = {
+        tuple(of_joint.values()): pattern
+        for pattern, of_joint in columns_by_joint.items()
+        if len(WORD.findall(pattern)) == 1
+    }
+    several = [(pattern, of_joint) for pattern, of_joint in columns_by_joint.items() if len(of_joint) > 1]
+    for (pattern, of_joint), (_, of_other) in permutations(several, 2):
+        joints = [joint for joint in of_joint if joint in of_other]
+        if len({re.sub(r"\d+", "", joint) for joint in joints}) > 1:  # numbered joints are a group already
+            groups.setdefault(tuple(of_joint[joint] for joint in joints), pattern)
+    for members, pattern in groups.items():
+        if 1 < len(members) <= MAX_JOINT_NUMBERS:
+            label, source = f"{members[0]} … {members[-1]}", {"columns": list(members)}
+            yield SignalCandidate(label, source, False, guess_of(pattern), len(members))
 
 
 def _in_arrays(path: Path) -> list[SignalCandidate]:

@@ -63,6 +63,24 @@ def test_tables_and_arrays_offer_groups_of_columns_and_arrays(tmp_path: Path) ->
     assert found == {"position": {"array": "position"}, "object_pose": {"array": "object_pose"}}
 
 
+@pytest.mark.parametrize(
+    ("patterns", "joints"),
+    [
+        (("q_{}", "dq_{}", "q_des_{}"), ("hip_abduction", "hip_pitch", "knee")),
+        (("observation.state.{}.pos", "action.{}.pos"), ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_roll")),
+    ],
+)
+def test_names_of_joints_stand_between_the_words_that_several_signals_share(
+    tmp_path: Path, patterns: tuple[str, ...], joints: tuple[str, ...]
+) -> None:
+    """Kills: groups by the first or the last word alone, in which q_des_hip is one of the joints of q."""
+    columns = [[pattern.format(joint) for joint in joints] for pattern in patterns]
+    names = ["time", *(name for signal in columns for name in signal)]
+    (tmp_path / "run.csv").write_text(f"{','.join(names)}\n{','.join(['0.5'] * len(names))}\n", encoding="utf-8")
+    sources = [candidate.source for candidate in candidates_of(tmp_path / "run.csv")]
+    assert all({"columns": signal} in sources for signal in columns)
+
+
 @pytest.mark.parametrize("name", ["ddq_des", "target_qdd_0", "q_ddot", "acceleration_1"])
 def test_the_name_of_an_acceleration_hints_at_no_position_or_velocity(name: str) -> None:
     """Kills a desired velocity with its acceleration that is read as a motion."""
