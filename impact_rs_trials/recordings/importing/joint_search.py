@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot import Array, RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.checks.torque_readings import MotionTorque, is_computed, is_external, lacks_gravity
 from impact_rs_trials.recordings.file_units import TURNS, factors_of
@@ -50,6 +50,8 @@ from impact_rs_trials.recordings.importing.joint_streams import JointStream
 from impact_rs_trials.recordings.joint_motion import JointMotion, unit_of_joints
 from impact_rs_trials.recordings.mapping import TorqueMeaning
 from impact_rs_trials.recordings.readers.guesses import holds_a_turn
+from impact_rs_trials.recordings.readers.series import Series
+from impact_rs_trials.recordings.readers.turns import unwrapped
 from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_ODDS,
     MIN_REPORTED_SIGMA,
@@ -163,6 +165,11 @@ class Assignment:
         return self.position.stream.series.time
 
     @property
+    def in_si(self) -> Series:
+        """The positions in SI units."""
+        return replace(self.position.stream.series, values=self.position.values)
+
+    @property
     def streams(self) -> list[JointStream]:
         """Streams of positions and velocities."""
         return [reading.stream for reading in (self.position, self.velocity) if reading is not None]
@@ -194,7 +201,7 @@ class Assignment:
     def speeds(self) -> Array:
         """dq at the timestamps of the positions, ``(k, n)`` [rad/s, m/s]."""
         if self.velocity is None:
-            return replace(self.position.stream.series, values=self.position.values).derivative().values
+            return self.in_si.derivative().values
         return replace(self.velocity.stream.series, values=self.velocity.values).at(self.time)
 
 
@@ -211,7 +218,7 @@ class JointSearch:
         self._averages: dict[tuple[int, int], Array] = {}
         self.position_readings = [
             Reading(stream, choice)
-            for stream in self.streams
+            for stream in (_unwrapped(stream, model.facts) for stream in self.streams)
             if (choice := choose(positions(stream.series.values, model.facts), -np.inf)) is not None
             and np.ptp(stream.series.values, axis=0).any()
         ]
@@ -369,6 +376,17 @@ class JointSearch:
             reading = Reading.of(stream, "torque", unit, external.evidence, external.margin)
             return replace(reading, meaning="external")
         return Reading.of(stream, "torque", unit, f"nothing but its name: {evidence}", 0.0)
+
+
+@OUTLIERS
+def _unwrapped(stream: JointStream, facts: RobotFacts) -> JointStream:
+    """A stream as continuous angles, in the unit in which it jumps by a full turn."""
+    for unit, slide in (("rad", "m"), ("deg", "mm"), ("mrad", "mm")):
+        factor = factors_of("position", unit_of_joints(facts, unit, slide))
+        in_si = replace(stream.series, values=stream.series.values * factor)
+        if (series := unwrapped(in_si, facts)) is not in_si:
+            return replace(stream, series=replace(series, values=series.values / factor))
+    return stream
 
 
 def with_commands(motions: Sequence[Assignment]) -> list[Assignment]:

@@ -42,6 +42,7 @@ from impact_rs_trials.recordings.importing.joint_search import Assignment, Joint
 from impact_rs_trials.recordings.importing.joint_streams import COMMANDED, JointStream
 from impact_rs_trials.recordings.joint_motion import JointMotion
 from impact_rs_trials.recordings.mapping import TorqueMeaning
+from impact_rs_trials.recordings.readers.turns import unwrapped
 from impact_rs_trials.recordings.relations import DECISIVE_LOG_ODDS, dry_friction, effective_samples, fit
 from impact_rs_trials.recordings.servo import Damps
 
@@ -191,11 +192,12 @@ def _servos_of(
     for stream in search.free_of(assignment.streams):
         if not np.ptp(stream.series.values, axis=0).all():
             continue
-        y = motion.sampled(stream.series.at(assignment.time))
         named = NAME_LOG_ODDS if COMMANDED.search(f"{stream.file} {stream.column_text}") else 0.0
         named -= NAME_LOG_ODDS if stream.candidate.guess in ("velocity", "acceleration", "torque") else 0.0
         for unit, slide in UNITS_OF_TARGETS.items():
-            error = factors_of("position", motion.unit(unit, slide)) * y - motion.position
+            values = factors_of("position", motion.unit(unit, slide)) * stream.series.values
+            target = unwrapped(replace(stream.series, values=values), motion.facts, assignment.in_si)
+            error = motion.sampled(target.at(assignment.time)) - motion.position
             if not _follows(motion, error):
                 continue
             for meaning, torque in torques.items():

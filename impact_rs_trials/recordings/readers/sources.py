@@ -23,6 +23,7 @@ from impact_rs_trials.recordings.readers.run_finder import (
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.readers.table_file import TableFile
 from impact_rs_trials.recordings.readers.text_file import suffix_of
+from impact_rs_trials.recordings.readers.turns import unwrapped
 
 
 class SignalFile(Protocol):
@@ -45,6 +46,8 @@ def read_series(
     names: Names | None = None,
 ) -> dict[SignalName, Series]:
     """Signals of one run at the timestamps of its files; velocity not in the mapping: derivative of position.
+
+    Joint angles are continuous (:mod:`~impact_rs_trials.recordings.readers.turns`).
 
     Args:
         path: A file, or a run inside of it; the folder of a bag; or, if the mapping names files, their folder, or
@@ -79,6 +82,10 @@ def read_series(
                 raise InputError(f"{series.label} has no sample", file=file)
             if series.time.size:
                 read[name] = series.without_repeats() if mapping.time.repeated == "keep_first" else series
+    if "position" in read:
+        read["position"] = unwrapped(read["position"], mapping.facts)
+        if "q_desired" in read:
+            read["q_desired"] = unwrapped(read["q_desired"], mapping.facts, read["position"])
     if "velocity" in wanted and "velocity" not in sources and "position" in read:
         read["velocity"] = read["position"].derivative()
     return read
