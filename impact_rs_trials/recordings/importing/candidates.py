@@ -329,20 +329,22 @@ def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
     candidates = []
     cells = read_columns(path, layout).cells
     columns = list(cells)
-    groups: dict[str, set[int]] = {}
+    groups: dict[str, dict[int, str]] = {}
     parts: dict[str, list[str]] = {}
     for column in columns:
         for number in re.finditer(r"\d+", column):
-            groups.setdefault(f"{column[: number.start()]}{{joint}}{column[number.end() :]}", set()).add(int(number[0]))
+            pattern = f"{column[: number.start()]}{{joint}}{column[number.end() :]}"
+            groups.setdefault(pattern, {})[int(number[0])] = column
         if part := PART_OF_ARM.search(column):
             parts.setdefault(f"{column[: part.start()]}…{column[part.end() :]}", []).append(column)
-    for pattern, numbers in groups.items():
-        first, last = min(numbers), max(numbers)
-        if first > 1 or len(numbers) < 2 or numbers != set(range(first, last + 1)):
+    for pattern, of_number in groups.items():
+        first, last = min(of_number), max(of_number)
+        if first > 1 or len(of_number) < 2 or len(of_number) != last - first + 1:
             continue
-        names = [pattern.replace("{joint}", str(number)) for number in range(first, last + 1)]
-        source = {"column": pattern} if first == 1 else {"columns": names}
-        candidates.append(SignalCandidate(f"{names[0]} … {names[-1]}", source, False, guess_of(pattern), len(numbers)))
+        names = [of_number[number] for number in range(first, last + 1)]
+        counted = names == [pattern.replace("{joint}", str(number)) for number in range(1, len(names) + 1)]
+        source = {"column": pattern} if counted else {"columns": names}  # not from 1, or with zeros before the number
+        candidates.append(SignalCandidate(f"{names[0]} … {names[-1]}", source, False, guess_of(pattern), len(names)))
     for pattern, members in parts.items():
         if len(members) > 1:
             names = sorted(members, key=_base_to_tip)

@@ -81,6 +81,14 @@ def test_names_of_joints_stand_between_the_words_that_several_signals_share(
     assert all({"columns": signal} in sources for signal in columns)
 
 
+def test_numbers_with_leading_zeros_are_read_by_the_names_of_the_columns(tmp_path: Path) -> None:
+    """Kills: the pattern q{joint} for q01, q02, which the reader fills with 1, 2."""
+    names = [f"{signal}{joint:02}" for signal in ("q", "dq") for joint in range(1, 4)]
+    (tmp_path / "run.csv").write_text(f"t,{','.join(names)}\n{','.join(['0.5'] * 7)}\n", encoding="utf-8")
+    sources = [candidate.source for candidate in candidates_of(tmp_path / "run.csv")]
+    assert sources == [{"columns": names[:3]}, {"columns": names[3:]}]
+
+
 @pytest.mark.parametrize("name", ["ddq_des", "target_qdd_0", "q_ddot", "acceleration_1"])
 def test_the_name_of_an_acceleration_hints_at_no_position_or_velocity(name: str) -> None:
     """Kills a desired velocity with its acceleration that is read as a motion."""
