@@ -20,7 +20,7 @@ from typing import Annotated, Literal, Self, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.physics import ObjectPhysics
@@ -135,6 +135,13 @@ class Plane(Schema):
     friction: Annotated[float, Field(ge=0.0)] = Field(0.3, description="assumed Coulomb coefficient [-]")
     restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(0.0, description="assumed restitution [-]")
     gravity: Vector3 = Field((0.0, 0.0, -9.81), description="free fall in the tracker's world [m/s^2]")
+
+    @field_validator("normal")
+    @classmethod
+    def _has_a_direction(cls, normal: Vector3) -> Vector3:
+        if not any(normal):
+            raise ValueError("the normal has no direction; expected a vector that is not zero")
+        return normal
 
 
 class Experiment(Schema):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from refusals import lacking, refusal
 
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_trials.recordings.experiment import RunRow, load_experiment, read_runs, run_named
 
@@ -156,3 +157,11 @@ def test_of_runs_that_are_called_alike_one_is_named_by_its_path(tmp_path: Path) 
     said = refusal(run_named, table, tmp_path, "run_1")
     assert "several runs have this name: monday/run_1, tuesday/run_1" in said
     assert run_named(table, tmp_path, "tuesday/run_1") is table[1]
+
+
+def test_a_normal_of_zero_is_refused(tmp_path: Path) -> None:
+    """Kills: a division by its length 0, after which every height is nan."""
+    (tmp_path / "e.yaml").write_text("{body: {mass: 1.0, radius: 0.1}, plane: {normal: [0, 0, 0]}, mapping: m}\n")
+    with pytest.raises(InputError, match="expected a vector that is not zero") as refusal:
+        load_experiment(tmp_path / "e.yaml")
+    assert "plane.normal" in str(refusal.value)
