@@ -469,7 +469,11 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     series = dict(series)
     position, quaternion = series.pop("object_position", None), series.pop("object_quaternion", None)
     if position is not None and quaternion is not None:
-        if position.time.size != quaternion.time.size or not np.allclose(position.time, quaternion.time):
+        period = float(np.ptp(position.time)) / max(position.time.size - 1, 1)
+        closest = max(MAX_GRID_ERROR_PERIODS * period, STAMP_ROUNDING_S)
+        if position.time.size != quaternion.time.size or not np.allclose(
+            position.time, quaternion.time, rtol=0.0, atol=closest
+        ):
             raise InputError(
                 f"{position.label} and {quaternion.label} have different time stamps; expected the same", file=path
             )

@@ -23,7 +23,8 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.laboratory import read_laboratory, read_one
+from impact_rs_trials.recordings.laboratory import read_laboratory, read_one, with_object
+from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.runs import Run
 
 from .conftest import FREE
@@ -215,6 +216,20 @@ def test_position_and_quaternion_of_the_object_may_be_two_arrays(laboratory: Lab
     quaternion = {"array": "wxyz", "unit": "-", "quaternion_order": "wxyz", "time_array": "object_time"}
     laboratory.mapping({"object_pose": None, "object_position": position, "object_quaternion": quaternion})
     assert_known(laboratory.read()[0], known)
+
+
+@pytest.mark.parametrize("late", [1e-4, 30.0])
+def test_position_and_quaternion_of_other_moments_are_no_pose(late: float) -> None:
+    """Kills: a tolerance relative to the stamps, within which all stamps of the wall clock are close."""
+    time = WALL_CLOCK + np.arange(0.0, 2.0, 0.002)
+    position = Series("p", time, np.zeros((time.size, 3)))
+    quaternion = Series("q", time + late, np.tile([0.0, 0.0, 0.0, 1.0], (time.size, 1)))
+    with pytest.raises(InputError, match="p and q have different time stamps"):
+        with_object(Path("f"), {"object_position": position, "object_quaternion": quaternion}, [])
+    pose = with_object(
+        Path("f"), {"object_position": position, "object_quaternion": replace(quaternion, time=time)}, []
+    )
+    assert pose["object_pose"].values.shape == (time.size, 7)
 
 
 def test_a_folder_per_run_with_a_file_per_group(laboratory: LaboratoryFolder) -> None:
