@@ -622,6 +622,8 @@ def _pieces(
     first = [start, *sorted(gap.end for gap in cuts)]
     last = [*sorted(gap.start for gap in cuts), end]
     between = [(a, b) for a, b in zip(first, last, strict=True) if b > a]
+    if not between:
+        raise TooShort("velocity and torque were never recorded at the same time", file=run.path)
     pieces = [piece for piece in between if piece[1] - piece[0] >= MIN_PIECE_S]
     main = max([p for p in between if all(p[0] <= impact <= p[1] for impact in impacts)], key=_length)
     if impacts:

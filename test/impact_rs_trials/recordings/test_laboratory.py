@@ -22,9 +22,10 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.laboratory import read_laboratory, read_one, with_object
+from impact_rs_trials.recordings.experiment import RunRow, load_experiment
+from impact_rs_trials.recordings.laboratory import _pieces, read_laboratory, read_one, with_object
 from impact_rs_trials.recordings.readers.series import Series
+from impact_rs_trials.recordings.recording import TooShort
 from impact_rs_trials.runs import Run
 
 from .conftest import FREE
@@ -230,6 +231,17 @@ def test_position_and_quaternion_of_other_moments_are_no_pose(late: float) -> No
         Path("f"), {"object_position": position, "object_quaternion": replace(quaternion, time=time)}, []
     )
     assert pose["object_pose"].values.shape == (time.size, 7)
+
+
+def test_signals_that_were_never_recorded_together_leave_the_run_out() -> None:
+    """Kills: the longest of no pieces, which stops the whole experiment."""
+    position, velocity, torque = (
+        Series(name, np.arange(*span, 0.01), np.zeros((round(100 * (span[1] - span[0])), 2)))
+        for name, span in (("q", (0.0, 3.0)), ("dq", (0.0, 1.0)), ("tau", (2.0, 3.0)))
+    )
+    run = RunRow(Path("run_1"), None, False, "")
+    with pytest.raises(TooShort, match="velocity and torque were never recorded at the same time"):
+        _pieces(run, {"arm": {"position": position, "velocity": velocity, "torque": torque}}, None, [])
 
 
 def test_a_folder_per_run_with_a_file_per_group(laboratory: LaboratoryFolder) -> None:
