@@ -17,6 +17,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.urdf_repairs import Limits
 from impact_rs_trials.recordings.importing.candidates import SignalCandidate, candidates_of, single_candidates
+from impact_rs_trials.recordings.importing.joint_streams import COMMANDED
 from impact_rs_trials.recordings.importing.table_layout import find_layout
 from impact_rs_trials.recordings.readers.run_finder import TABLE_SUFFIXES
 from impact_rs_trials.recordings.readers.table_columns import Columns, read_columns
@@ -45,9 +46,14 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
     table = read_columns(path, layout)
     limits: dict[tuple[str, str], tuple[float, ...]] = {}
     single = single_candidates(table.cells, "column") if len(joints) == 1 else []
-    for candidate in (*candidates_of(path, layout), *single):
+    candidates = [
+        candidate
+        for candidate in (*candidates_of(path, layout), *single)
+        if candidate.width == len(joints) == len(set(_columns_of(candidate, len(joints))))  # and no vectors in cells
+    ]
+    for candidate in sorted(candidates, key=lambda candidate: COMMANDED.search(candidate.label) is not None):
         quantity = QUANTITIES.get(candidate.guess)
-        if quantity is None or candidate.width != len(joints) or (joints[0], quantity) in limits:
+        if quantity is None or (joints[0], quantity) in limits:
             continue
         for joint, values in zip(joints, _values(path, table, candidate, joints).T, strict=True):
             low, high = float(np.nanmin(values)), float(np.nanmax(values))
@@ -68,8 +74,7 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
 
 def _values(path: Path, table: Columns, candidate: SignalCandidate, joints: Sequence[str]) -> Array:
     """Numbers of a signal, in the order of the joints, ``(k, n)``; nan for cells without a finite number."""
-    pattern = candidate.source.get("column", "")
-    names = candidate.source.get("columns") or [pattern.replace("{joint}", str(n + 1)) for n in range(len(joints))]
+    names = _columns_of(candidate, len(joints))
     column_of = {joint: column for column in names if (joint := _joint_of(column, joints)) is not None}
     if column_of and len(column_of) < len(joints):
         unnamed = ", ".join(joint for joint in joints if joint not in column_of)
@@ -85,6 +90,12 @@ def _values(path: Path, table: Columns, candidate: SignalCandidate, joints: Sequ
     if np.isnan(values).all(axis=0).any():
         raise InputError(f"column {candidate.label}: expected a finite number in it", file=path, key="--measured")
     return values
+
+
+def _columns_of(candidate: SignalCandidate, count: int) -> list[str]:
+    """Column of every joint; vectors in the cells of one column have the same column for all joints."""
+    pattern = candidate.source.get("column", "")
+    return candidate.source.get("columns") or [pattern.replace("{joint}", str(n + 1)) for n in range(count)]
 
 
 def _joint_of(column: str, joints: Sequence[str]) -> str | None:

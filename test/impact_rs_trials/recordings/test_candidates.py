@@ -256,6 +256,20 @@ def test_limits_that_are_missing_or_0_are_measured_and_said(urdf: Path, tmp_path
     ]
 
 
+def test_targets_are_no_measured_limits(tmp_path: Path) -> None:
+    """Kills: the first columns that may be positions, which are the targets."""
+    names = "position_des_1,position_des_2,q_1,q_2,tau_1,tau_2"
+    path = recording(tmp_path / "log.csv", names)
+    assert measured_limits(path, ["a", "b"])["a", "position"] == pytest.approx((-1.0, 1.0), abs=1e-3)  # of q_1
+
+
+def test_vectors_in_cells_are_refused_as_what_they_are(tmp_path: Path) -> None:
+    """Kills: a vector that is read as one number, and a file that is called damaged."""
+    (tmp_path / "log.csv").write_text("t;position\n" + "0.1;[0.1, 0.2]\n" * 60, encoding="utf-8")
+    with pytest.raises(InputError, match="no 2 columns of positions"):
+        measured_limits(tmp_path / "log.csv", ["a", "b"])
+
+
 def test_columns_named_after_joints_may_stand_in_any_order(tmp_path: Path) -> None:
     found = measured_limits(recording(tmp_path / "log.csv", TURNED), ["swing", "tilt"])
     assert found["tilt", "position"] == pytest.approx((-0.8, 1.2), abs=1e-3)
