@@ -53,6 +53,10 @@ MAX_GRIPPER_NUMBERS = 2  # in addition to the numbers of the joints
 MAX_ROWS_READ = 50  # of a table whose columns are listed
 FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
 SIDES = re.compile("left|right", re.IGNORECASE)
+COMMANDED = re.compile(
+    r"des|ref|target|goal|action|cmd|cmp|command|comput|set_?point|(^|_)(d|control|ctrl)([_.\d]|$)|filt|err",
+    re.IGNORECASE,
+)
 WORD = re.compile(r"[^\W_]+")
 
 
@@ -396,7 +400,7 @@ def _of_named_joints(columns: Sequence[str]) -> Iterator[SignalCandidate]:
 
     The name of a joint stands between words before and words after. A group has the same word before or after, or the
     joints that occur between two pairs of words: ``q_hip``, ``q_knee`` are a group where ``q_des_hip``, ``q_des_knee``
-    are others.
+    are others. Targets and measured signals are in different groups.
     """
     columns_by_joint: dict[str, dict[str, str]] = {}  # by the words before and after the joint
     for column in columns:
@@ -410,11 +414,17 @@ def _of_named_joints(columns: Sequence[str]) -> Iterator[SignalCandidate]:
         for pattern, of_joint in columns_by_joint.items()
         if len(WORD.findall(pattern)) == 1
     }
+    targets = {column for column in columns if COMMANDED.search(column)}
     several = [(pattern, of_joint) for pattern, of_joint in columns_by_joint.items() if len(of_joint) > 1]
     for (pattern, of_joint), (_, of_other) in permutations(several, 2):
-        joints = [joint for joint in of_joint if joint in of_other]
+        joints = of_joint.keys() & of_other.keys()
+        if len(joints) < 2:
+            continue
+        members = tuple(column for joint, column in of_joint.items() if joint in joints)
+        if members in groups or not (targets.isdisjoint(members) or targets.issuperset(members)):
+            continue
         if len({re.sub(r"\d+", "", joint) for joint in joints}) > 1:  # numbered joints are a group already
-            groups.setdefault(tuple(of_joint[joint] for joint in joints), pattern)
+            groups[members] = pattern
     for members, pattern in groups.items():
         if 1 < len(members) <= MAX_JOINT_NUMBERS:
             label, source = f"{members[0]} … {members[-1]}", {"columns": list(members)}

@@ -23,8 +23,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.recordings.importing.candidates import guess_of
-from impact_rs_trials.recordings.importing.joint_streams import COMMANDED
+from impact_rs_trials.recordings.importing.candidates import COMMANDED, guess_of
 from impact_rs_trials.recordings.readers.run_finder import name_of, natural_key
 
 NUMBER = re.compile(r"\d+")

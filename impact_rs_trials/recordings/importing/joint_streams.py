@@ -6,15 +6,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
-from impact_rs_trials.recordings.importing.candidates import SignalCandidate, guess_of, in_order
+from impact_rs_trials.recordings.importing.candidates import COMMANDED, SignalCandidate, guess_of, in_order
 from impact_rs_trials.recordings.importing.hypotheses import FORMAT_LOG_ODDS, NAME_LOG_ODDS, Role
 from impact_rs_trials.recordings.readers.series import Series
 
-# Properties suggested by a name, in addition to the signal (candidates.guess_of).
-COMMANDED = re.compile(
-    r"des|ref|target|goal|action|cmd|cmp|command|comput|set_?point|(^|_)(d|control|ctrl)([_.\d]|$)|filt|err",
-    re.IGNORECASE,
-)
+# Properties suggested by a name, in addition to the signal (candidates.guess_of) and to COMMANDED.
 MEASURED = re.compile(r"meas|actual|(^|_)act(_|\d|$)", re.IGNORECASE)
 OF_MOTOR = re.compile(r"motor|rotor|(^|_)theta", re.IGNORECASE)
 EXTERNAL = re.compile(r"(^|[^a-z])ext([^a-z]|$)|external|(^|[^a-z])hat([^a-z]|$)|disturb", re.IGNORECASE)

@@ -16,8 +16,12 @@ import numpy as np
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.urdf_repairs import Limits
-from impact_rs_trials.recordings.importing.candidates import SignalCandidate, candidates_of, single_candidates
-from impact_rs_trials.recordings.importing.joint_streams import COMMANDED
+from impact_rs_trials.recordings.importing.candidates import (
+    COMMANDED,
+    SignalCandidate,
+    candidates_of,
+    single_candidates,
+)
 from impact_rs_trials.recordings.importing.table_layout import find_layout
 from impact_rs_trials.recordings.readers.run_finder import TABLE_SUFFIXES
 from impact_rs_trials.recordings.readers.table_columns import Columns, read_columns

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.recordings.importing.candidates import vector_width, width_of
+from impact_rs_trials.recordings.importing.candidates import COMMANDED, vector_width, width_of
 from impact_rs_trials.recordings.importing.file_groups import OBJECT
 from impact_rs_trials.recordings.importing.flange_path import MAX_RMS_RATIO, MAX_RMS_RATIO_OF_TARGET, FlangePath
 from impact_rs_trials.recordings.importing.import_texts import flow
-from impact_rs_trials.recordings.importing.joint_streams import COMMANDED
 from impact_rs_trials.recordings.importing.moving_objects import moving_objects
 from impact_rs_trials.recordings.importing.recorded_files import ImportedFiles, RecordedFile, axes_of, source_in
 from impact_rs_trials.recordings.mapping import HEIGHT_ALONE, IN_A_PLANE, NO_ROBOT, SignalName, SignalSource

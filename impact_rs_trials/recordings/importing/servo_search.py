@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.file_units import factors_of
-from impact_rs_trials.recordings.importing.candidates import Q_DESIRED
+from impact_rs_trials.recordings.importing.candidates import COMMANDED, Q_DESIRED
 from impact_rs_trials.recordings.importing.hypotheses import (
     MAIN_TRAVEL_SHARE,
     MAX_OUTSIDE_SHARE,
@@ -39,7 +39,7 @@ from impact_rs_trials.recordings.importing.hypotheses import (
     travels,
 )
 from impact_rs_trials.recordings.importing.joint_search import Assignment, JointSearch, with_commands
-from impact_rs_trials.recordings.importing.joint_streams import COMMANDED, JointStream
+from impact_rs_trials.recordings.importing.joint_streams import JointStream
 from impact_rs_trials.recordings.joint_motion import JointMotion
 from impact_rs_trials.recordings.mapping import TorqueMeaning
 from impact_rs_trials.recordings.readers.turns import unwrapped

@@ -79,6 +79,7 @@ def test_names_of_joints_stand_between_the_words_that_several_signals_share(
     (tmp_path / "run.csv").write_text(f"{','.join(names)}\n{','.join(['0.5'] * len(names))}\n", encoding="utf-8")
     sources = [candidate.source for candidate in candidates_of(tmp_path / "run.csv")]
     assert all({"columns": signal} in sources for signal in columns)
+    assert {"columns": [signal[0] for signal in columns]} not in sources  # one joint, measured and desired
 
 
 def test_numbers_with_leading_zeros_are_read_by_the_names_of_the_columns(tmp_path: Path) -> None:
