@@ -749,8 +749,8 @@ def touches_of(task: tuple[Laboratory, RunRow]) -> list[PadOnFace]:
     laboratory, run = task
     wanted: tuple[SignalName, ...] = ("position", "velocity", *OBJECT_SIGNALS)
     try:
-        arms = laboratory.series(run, wanted, wanted[:2])
-        pose = with_object(run.path, arms[laboratory.tracker], []).get("object_pose")
+        arms = on_clock_of_joints(laboratory, run, wanted, wanted[:2], [])
+        pose = arms[laboratory.tracker].get("object_pose")
         cleaned = {arm: laboratory.without_faults(arm, series, run.hit)[0] for arm, series in arms.items()}
         touches = [_touch(laboratory, run, arm, series, pose) for arm, series in cleaned.items()]
     except InputError as error:

@@ -24,7 +24,8 @@ from impact_rs_trials.recordings.checks.plausibility import (
     noticed,
 )
 from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
-from impact_rs_trials.recordings.laboratory import read_one
+from impact_rs_trials.recordings.experiment import RunRow
+from impact_rs_trials.recordings.laboratory import Laboratory, read_one, touches_of
 
 from .conftest import LaboratoryFolder
 
@@ -116,12 +117,12 @@ def test_without_a_hit_there_is_nothing_to_tell() -> None:
         contact_frame([], GIVEN, NO_YAW)
 
 
-def pushed(laboratory: LaboratoryFolder) -> np.ndarray:
-    """The box goes with the pad all the time, and is seen in the planted world; its centre in A, ``(p, 3)``."""
+def pushed(laboratory: LaboratoryFolder, start: float = 0.0) -> np.ndarray:
+    """The box goes with the pad from a time on [s], and is seen in the planted world; its centre in A, ``(p, 3)``."""
     signals = laboratory.signals
     poses, centres = [], []
     for moment in 1e-9 * signals.object_time:
-        row = round(1e3 * moment)
+        row = round(1e3 * max(moment, start))
         pad = ARM.placement(signals.position[min(row, len(signals.position) - 1)])
         normal = pad.rotation[:, 2]
         yaw = np.arctan2(normal[1], normal[0]) + np.pi / 2.0
@@ -147,6 +148,24 @@ def test_an_experiment_finds_the_world_of_its_motion_capture(laboratory: Laborat
     assert "stays as given" in remark
     alone = read_one(laboratory.path, laboratory.load(), "run_1", map)
     np.testing.assert_array_equal(alone.signals.object_position, run.signals.object_position)
+
+
+def test_the_frame_is_estimated_on_the_clock_of_the_joints(laboratory: LaboratoryFolder) -> None:
+    """Kills: poses at the stamps of the tracker's own clock, with which pad and face of two moments are compared."""
+    laboratory.change(position=2.0 * laboratory.signals.position[400] - laboratory.signals.position)
+    laboratory.change(velocity=-laboratory.signals.velocity)
+    pushed(laboratory, start=0.4)
+    laboratory.experiment["motion_capture"] = {"estimate": True, "position": [1.3, -0.7, 0.0]}
+    time, frames = laboratory.signals.object_time, []
+    for late, clock in ((0, "shared"), (150_000_000, "own")):
+        laboratory.change(object_time=time + late)
+        laboratory.mapping({"object_pose": {"clock": clock}})
+        run = RunRow(laboratory.bag(clock), "parcel", True, "")
+        (touch,) = touches_of((Laboratory.of(laboratory.load()), run))
+        frames.append(contact_frame([touch], WORLD.translation, 2.4))
+    shared, own = frames
+    assert own.yaw == pytest.approx(shared.yaw, abs=1e-3)
+    np.testing.assert_allclose(own.position, shared.position, atol=1e-3)
 
 
 # ---- physics tells wrong frames, wrong signs and forgotten gravity from right ones ----------------------------------
