@@ -71,6 +71,10 @@ WIDTHS: dict[SignalName, tuple[int, ...]] = {  # numbers per sample, and other n
     "acceleration": (3,),
 }
 TorqueMeaning = Literal["whole", "without_gravity", "external", "target"]
+SHIFTED_SIGNALS: tuple[SignalName, ...] = (  # that the motion brings to the clock of the positions
+    "velocity", "motor_position", "motor_velocity", "torque", "command", "object_pose", "object_position",
+    "object_quaternion",
+)  # fmt: skip
 JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTHS)
 
 
@@ -128,7 +132,9 @@ class SignalSource(Schema):
     quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion in a table")
     delay: float = Field(0.0, description="added to the timestamps [s]")
     clock: Literal["shared", "own"] = Field(
-        "shared", description="own: another clock, whose constant offset is estimated from the motion"
+        "shared",
+        description="own: another clock, whose constant offset is estimated from the motion; for velocity, torque, "
+        "command, motor and object signals",
     )
     unit: str | tuple[str, ...] = Field(
         description="unit in the file; a list per joint if some joints turn and some slide"
@@ -296,6 +302,7 @@ class Mapping(Schema):
             if source.columns is not None and source.column is not None:
                 raise ValueError(f"signals.{name} has both column and columns, expected one of them")
         self._object_is_described_once()
+        self._own_clocks_are_estimated()
         for holder, prefix in ((self, ""), (self.servo, "servo.")):
             for key in ("motor_inertia", "torque_constant", "kp", "kd", "torque_max"):
                 gains = getattr(holder, key, None)
@@ -353,6 +360,14 @@ class Mapping(Schema):
             raise ValueError(f"signals has both object_pose and {parts[0]}, expected one of them")
         if len(parts) == 1 and not (self.robot == NO_ROBOT and parts == ["object_position"]):
             raise ValueError(f"signals has {parts[0]} alone, expected object_position and object_quaternion")
+
+    def _own_clocks_are_estimated(self) -> None:
+        for name, source in self.signals.items():
+            if source.clock == "own" and name not in SHIFTED_SIGNALS:
+                raise ValueError(
+                    f"signals.{name}.clock is 'own', but the offset of {name} is not estimated; expected shared, and "
+                    f"a known offset in signals.{name}.delay"
+                )
 
     def clock(self, source: SignalSource) -> TimeSource:
         """Timestamps of a signal; keys that the signal lacks are those of the mapping."""

@@ -14,7 +14,14 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import RobotFacts, load_facts
 from impact_rs_sim.schema import validate
-from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping, mapping_names
+from impact_rs_trials.recordings.checks.clock_offset import FOUND_BY, OBJECT_SIGNALS
+from impact_rs_trials.recordings.mapping import (
+    SHIFTED_SIGNALS,
+    Mapping,
+    MountedEndEffector,
+    load_mapping,
+    mapping_names,
+)
 
 JOINTS = [f"joint{number}" for number in range(1, 8)]
 
@@ -89,12 +96,24 @@ MISTAKES = [
     ({"low_pass": 0.0}, "low_pass"),
     ({"colour": "red"}, "colour|unknown key"),
     ({"torque_measured_at": "gear"}, "torque_measured_at"),
+    ({"signals": signals("position", clock="own")}, "signals.position.clock|signals.position.delay"),
 ]
 
 
 @pytest.mark.parametrize(("changes", "words"), MISTAKES, ids=[words for _, words in MISTAKES])
 def test_a_wrong_key_of_a_mapping_is_refused(changes: dict, words: str) -> None:
     assert not lacking(refusal(mapping, **changes), "mine.yaml|" + words)
+
+
+def test_only_signals_with_an_estimated_offset_have_their_own_clock() -> None:
+    """Kills: clock: own is accepted for desired positions, whose stamps then stay as they are."""
+    assert set(FOUND_BY) | set(OBJECT_SIGNALS) == set(SHIFTED_SIGNALS)
+    target = {"column": "d{joint}", "unit": "rad", "clock": "own"}
+    assert not lacking(
+        refusal(mapping, signals=content()["signals"] | {"q_desired": target}),
+        "mine.yaml|signals.q_desired.clock|not estimated|signals.q_desired.delay",
+    )
+    assert mapping(signals=signals("torque", clock="own")).signals["torque"].clock == "own"
 
 
 def test_another_number_of_joints_than_the_robot_has_is_refused() -> None:
