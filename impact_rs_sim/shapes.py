@@ -85,6 +85,28 @@ class ConvexShape:
         length = {"sphere": 0.0, "capsule": half[2] - half[0], "cylinder": half[2]}[self.kind]
         return np.asarray(half[0] * across + length * along[..., 2])
 
+    def distance(self, size: Array, point: Array) -> float:
+        """Signed distance from the surface to a point, negative inside [m]; of a hull to its nearest face plane.
+
+        Args:
+            size: Extents of the body along its axes, ``(3,)`` [m].
+            point: In axes of the body, from its middle, ``(3,)`` [m].
+        """
+        half, along = np.asarray(size) / 2.0, np.abs(point)
+        across = float(np.hypot(along[0], along[1]))
+        if self.kind == "box":
+            beyond = along - half
+        elif self.kind == "cylinder":
+            beyond = np.array([across, along[2]]) - half[1:]
+        elif self.kind == "hull":
+            corners = np.array([[self.corners[number] for number in face[:3]] for face in self.faces])
+            normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            beyond = np.array([np.max(np.einsum("ki,ki->k", normals, point - corners[:, 0]))])
+        else:
+            beyond = np.array([np.hypot(across, max(along[2] - (half[2] - half[0]), 0.0)) - half[0]])
+        return float(np.linalg.norm(np.maximum(beyond, 0.0)) + min(float(np.max(beyond)), 0.0))
+
     def first_points(self, size: Array, direction: Array, tolerance: float = 0.0) -> Array:
         """Candidates for the points that touch a plane first, ``(k, 3)`` [m].
 

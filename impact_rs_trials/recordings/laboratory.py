@@ -827,8 +827,8 @@ def _check_object(
     if not np.any(overlap):
         return remarks
     position_at_poses = np.column_stack([np.interp(object_time[overlap], time, column) for column in position.T])
-    size = np.array(scenario.object(run.object).size)
-    touch_warnings = check_touch(run.path, laboratory.models[arm], run.object, size, position_at_poses, pose[overlap])
+    model = laboratory.models[arm]
+    touch_warnings = check_touch(run.path, scenario, model, run.object, position_at_poses, pose[overlap])
     slow_tracker = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / MIN_POSE_RATE_HZ
     if slow_tracker:  # which does not record where pad and object meet
         return remarks

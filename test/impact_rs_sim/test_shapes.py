@@ -141,6 +141,19 @@ def test_bodies_that_are_apart_are_as_far_from_each_other_as_in_coal(own: Convex
         assert found == pytest.approx(1e-3, abs=2e-5)
 
 
+@pytest.mark.parametrize("shape", [BOX, *ROUND, CUBE], ids=lambda shape: shape.kind)
+def test_the_distance_to_a_point_is_the_largest_over_all_directions(shape: ConvexShape) -> None:
+    """Kills: the distance to the bounding box. Points near a face, because of a hull the face planes count."""
+    rng = np.random.default_rng(5)
+    directions = rng.normal(size=(200_000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    size = 2.0 * body(rng, shape).half
+    support = shape.support(size, directions)
+    for point in ([0.3, 0.01, 0.0], [0.01, 0.0, -0.3], 0.35 * size * [1.0, 0.1, 0.2]):
+        expected = float(np.max(directions @ point - support))
+        assert shape.distance(size, np.asarray(point)) == pytest.approx(expected, abs=1e-3)
+
+
 @pytest.mark.parametrize(("own", "other"), PAIRS, ids=lambda shape: shape.kind)
 def test_roles_swap_and_bodies_turn_together_without_effect(own: ConvexShape, other: ConvexShape) -> None:
     rng = np.random.default_rng(4)

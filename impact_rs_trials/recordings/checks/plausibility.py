@@ -69,8 +69,8 @@ def check_gravity_torque(path: Path, name: str, model: RobotModel, position: Arr
 
 def height_on_support(scenario: Scenario, name: str, rotation: Array) -> float:
     """Height in A of the centre of an object that stands on the support with axes ``rotation`` [m]."""
-    size = np.array(scenario.object(name).size)
-    return float(scenario.support.height + np.abs(rotation[2]) @ size / 2.0)
+    item = scenario.object(name)
+    return float(scenario.support.height + item.form.support(np.array(item.size), -rotation[2]))
 
 
 def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Array, pose: Array) -> list[str]:
@@ -119,14 +119,16 @@ def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Arra
     return remarks
 
 
-def check_touch(path: Path, model: RobotModel, name: str, size: Array, position: Array, pose: Array) -> list[str]:
+def check_touch(
+    path: Path, scenario: Scenario, model: RobotModel, name: str, position: Array, pose: Array
+) -> list[str]:
     """Check that pad and object touch at their smallest distance: neither a gap nor a penetration.
 
     Args:
         path: Run, for messages.
+        scenario: Has the object.
         model: Nominal arm.
         name: Name of the object.
-        size: Of the object, ``(3,)`` [m].
         position: q at the timestamps of the object's pose, ``(p, n)`` [rad].
         pose: Geometric centre and quaternion of the object in A, ``(p, 7)``.
 
@@ -136,11 +138,10 @@ def check_touch(path: Path, model: RobotModel, name: str, size: Array, position:
     Raises:
         InputError: Pad and object do not touch.
     """
-    distances = []
+    item, distances = scenario.object(name), []
     for q, placement in zip(position, pose, strict=True):
         pad_in_object = pin.XYZQUATToSE3(placement).actInv(model.placement(q).translation)
-        outside = np.abs(pad_in_object) - size / 2.0
-        distances.append(float(np.linalg.norm(np.maximum(outside, 0.0)) + min(float(np.max(outside)), 0.0)))
+        distances.append(item.form.distance(np.array(item.size), pad_in_object))
     nearest = min(distances)
     half_pad = max(model.end_effector.pad_size[:2]) / 2.0  # an edge of the pad may hit while its middle passes by
     if -MAX_TOUCH_DISTANCE_M < nearest < MAX_TOUCH_DISTANCE_M + half_pad:

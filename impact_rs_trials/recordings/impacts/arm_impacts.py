@@ -271,7 +271,7 @@ def _impact_or_reason(tracked: _TrackedObject, jumps: Jumps, neighbours: tuple[f
     pose = np.concatenate((position, pin.Quaternion(rotation).coeffs()))[None]
     for arm, jump in jumps.items():
         try:
-            check_touch(run.path, laboratory.models[arm], run.object, size, jump.position[None], pose)
+            check_touch(run.path, scenario, laboratory.models[arm], run.object, jump.position[None], pose)
         except InputError as error:
             return NoRow(run.label, f"{laboratory.label(arm)}{error.message}")
     tolerance = 2.0 * (ante.scatter[0] + 0.5 * ante.scatter[1] * float(np.max(size)))

@@ -21,6 +21,7 @@ from impact_rs_trials.recordings.checks.plausibility import (
     check_object,
     check_touch,
     gravity_torques,
+    height_on_support,
     noticed,
 )
 from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
@@ -171,11 +172,11 @@ def test_the_frame_is_estimated_on_the_clock_of_the_joints(laboratory: Laborator
 # ---- physics tells wrong frames, wrong signs and forgotten gravity from right ones ----------------------------------
 
 
-SCENE = Scene.resolve(load_scenario("push"), "parcel", "case_1")
+SCENE_FILE = load_scenario("push")
+SCENE = Scene.resolve(SCENE_FILE, "parcel", "case_1")
 MODEL, STATE = SCENE.models["arm"], SCENE.arms["arm"]
 RUN = Path("run_1")
 TOUCHING = np.append(SCENE.object.position, [0.0, 0.0, 0.0, 1.0])  # the pad's middle lies on the object's face
-BOX = SCENE.physics.object.size
 
 
 def doubt_of_touch(offset: float, quaternion: np.ndarray | None = None) -> list[str]:
@@ -183,7 +184,7 @@ def doubt_of_touch(offset: float, quaternion: np.ndarray | None = None) -> list[
     pose = TOUCHING + [0.0, -offset, 0.0, 0.0, 0.0, 0.0, 0.0]
     if quaternion is not None:
         pose[3:] = quaternion
-    return check_touch(RUN, MODEL, "parcel", BOX, STATE.position[None], pose[None])
+    return check_touch(RUN, SCENE_FILE, MODEL, "parcel", STATE.position[None], pose[None])
 
 
 def test_a_pad_that_touches_says_nothing() -> None:
@@ -218,6 +219,19 @@ def test_the_height_on_the_support_is_that_of_the_side_it_lies_on() -> None:
     pose[2] -= 0.06
     with pytest.raises(InputError, match=r"expected 0.495 m high on the support \(-0.060 m off\)"):
         check_object(RUN, SCENE.scenario, "arm", "parcel", np.zeros(1), pose[None])
+
+
+def test_a_ball_is_as_high_and_as_far_whatever_its_axes() -> None:
+    """Kills: a ball as the box of its extents, up to 0.73 radii too high and too near."""
+    scenario = load_scenario("hit_ball")
+    name, ball = next((name, item) for name, item in scenario.objects.items() if item.shape == "sphere")
+    radius = ball.size[0] / 2.0
+    rotation = pin.rpy.rpyToMatrix(np.pi / 4.0, np.arctan(np.sqrt(0.5)), 0.0)
+    assert height_on_support(scenario, name, rotation) == pytest.approx(scenario.support.height + radius)
+    pad = MODEL.placement(STATE.position)
+    centre = pad.translation + radius * pad.rotation[:, 2]
+    touching = pin.SE3ToXYZQUAT(pin.SE3(rotation @ pad.rotation, centre))
+    assert check_touch(RUN, scenario, MODEL, name, STATE.position[None], touching[None]) == []
 
 
 def test_an_object_that_is_never_moved_is_noted() -> None:
