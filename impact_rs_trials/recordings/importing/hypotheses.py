@@ -313,12 +313,16 @@ def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     unbounded = fit(rigid_torque, y, friction, samples)
     heavy = informative & (np.abs(unbounded.correlation) > MIN_CORRELATION)
     heavy = heavy if np.any(heavy) else informative
-    listed = ", ".join(str(joint + 1) for joint in np.flatnonzero(heavy))
     text = (
-        f"{range_in_words(unbounded.factor[heavy])} times the torque that gravity and inertia of the arm take in joint"
-        f"{'s' if np.sum(heavy) > 1 else ''} {listed}"
+        f"{range_in_words(unbounded.factor[heavy])} times the torque that gravity and inertia of the arm take in "
+        f"{_joints_in_words(heavy)}"
     )
-    text += "" if np.all(heavy) else "; the other joints show nothing, and are assumed to have the same unit"
+    if np.any(contradicting := informative & ~heavy):
+        text += (
+            f"; {range_in_words(unbounded.factor[contradicting])} times in {_joints_in_words(contradicting)}, with a "
+            f"correlation of {range_in_words(unbounded.correlation[contradicting])}: columns of other joints?"
+        )
+    text += "" if np.all(informative) else "; the other joints show nothing, and are assumed to have the same unit"
     signs = np.where(heavy, np.sign(unbounded.factor), usual_sign(unbounded.factor[heavy]))
     further: dict[str, Any] = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
     hypotheses = []
@@ -407,6 +411,10 @@ def _contradictions(moving: NDArray[np.bool_], relation: LinearRelation) -> tupl
             "their velocities are inverted, and nothing here shows which; assumed: the velocities"
         )
     return tuple(text)
+
+
+def _joints_in_words(mask: NDArray[np.bool_]) -> str:
+    return f"joint{'s' if np.sum(mask) > 1 else ''} {_joint_numbers(np.flatnonzero(mask))}"
 
 
 def _joint_numbers(numbers: NDArray[np.signedinteger]) -> str:

@@ -107,6 +107,14 @@ def test_torques_and_currents_are_told_apart_through_friction_and_offset(
         np.testing.assert_allclose(found.best.further["torque_constant"][1], 1.0 / factor[1], rtol=0.01)
 
 
+def test_joints_that_contradict_are_not_said_to_show_nothing() -> None:
+    """Kills: the torques of two joints in each other's columns, called joints that show nothing."""
+    own, effort = motion(swing()), swing()["effort"]
+    (best, *_) = torques(own, own.sampled(effort[:, [0, 3, 2, 1, 4, 5, 6]]))
+    assert "times in joints 2, 4, with a correlation of" in best.evidence
+    assert "columns of other joints?" in best.evidence
+
+
 def test_torque_constants_are_those_of_joints_that_carry_weight() -> None:
     """Joint 1 turns about a vertical axis; its motor's own inertia would pass for a smaller constant."""
     own = swing()
