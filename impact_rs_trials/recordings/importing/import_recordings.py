@@ -18,7 +18,7 @@ import os
 import re
 from collections.abc import Mapping as AbstractMapping
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -194,7 +194,8 @@ class _Importer:
         rows = runs.rows(mapping)
         if facts is not None and runs.clock_of_object(mapping, rows, signals):
             mapping = validate(Mapping, content | {"robot": robot}, self._output / MAPPING_FILE)
-        texts = {MAPPING_FILE: mapping_text(content, self._notes.lines), RUN_TABLE: runs_text(rows, facts is None)}
+        lines = [replace(line, key=line.key.removesuffix(f" ({main.path.name})")) for line in self._notes.lines]
+        texts = {MAPPING_FILE: mapping_text(content, lines), RUN_TABLE: runs_text(rows, facts is None)}
         hits = sum(row.hit for row in rows)
         if hits or facts is None or self._options.scenario is not None:
             texts[EXPERIMENT_FILE] = self._experiment(facts, robot)
