@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -123,10 +124,11 @@ class DescribedRuns:
                     "name the objects of the scenario as the files do"
                 )
             return rows
-        run_paths = [str(self._groups.folder / row.run) for row in rows]
-        in_path = [next((name for name in objects if name in run_path), "") for run_path in run_paths]
         default_object = (objects or ["OBJECT"])[0]
-        rows = [replace(row, object=name or default_object) for row, name in zip(rows, in_path, strict=True)]
+        rows = [
+            replace(row, object=_object_in(f"{self._groups.folder.name}/{row.run}", objects) or default_object)
+            for row in rows
+        ]
         if len(objects) != 1:
             self._notes.add(
                 "object in runs.csv", flow([row.object for row in rows][:3]), "say which object was hit", False
@@ -188,3 +190,9 @@ class DescribedRuns:
             others = f"{len(compared)} other{'s' if len(compared) > 1 else ''}"
             evidence = f"units and signs of {first.run} hold in {others} as well"
             self._notes.add("runs", f"{len(compared)} of {len(further)} others", evidence)
+
+
+def _object_in(run: str, objects: Sequence[str]) -> str:
+    """Longest name of an object that consists of whole words of the path of a run; empty: none."""
+    matches = [name for name in objects if re.search(rf"(?<![^\W_]){re.escape(name)}(?![^\W_])", run)]
+    return max(matches, key=len, default="")

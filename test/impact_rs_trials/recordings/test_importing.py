@@ -24,6 +24,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.importing.candidates import candidates_of
+from impact_rs_trials.recordings.importing.described_runs import _object_in
 from impact_rs_trials.recordings.importing.file_groups import group_files, whole_runs
 from impact_rs_trials.recordings.importing.import_recordings import ImportDraft, ImportOptions, draft_import
 from impact_rs_trials.recordings.importing.table_layout import find_layout
@@ -470,7 +471,8 @@ def test_numbers_with_decimal_commas_are_read(tmp_path: Path, motion: Columns) -
     file = write(tmp_path / "log.csv", names, columns, separator=";")
     file.write_text(file.read_text().replace(".", ","))
     draft = iiwa(file, tmp_path)
-    assert 'table: {decimal: ","}' in draft.texts["mapping.yaml"]
+    (table,) = (line for line in draft.texts["mapping.yaml"].splitlines() if line.startswith("table:"))
+    assert table.startswith('table: {decimal: ","}   # ') and "numbers have a decimal comma" in table
     assert "numbers have a decimal comma" in said_of(draft, "table (log.csv)")
     check_reading(draft, tmp_path / "lab", file, motion)
 
@@ -1303,3 +1305,12 @@ def test_a_log_of_fri_takes_the_torque_that_was_measured(tmp_path: Path, motion:
     assert said_of(draft, "signals.torque").startswith("MeasuredTorque1")
     (run,) = read_recordings(tmp_path / "fri.csv", mapping_in(draft, tmp_path / "lab"))
     np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("run", "name"),
+    [("lab/box_large_hit_1.csv", "box_large"), ("toolbox/hit_1.csv", ""), ("lab/box/1.csv", "box"), ("a/Box1", "")],
+)
+def test_the_object_of_a_run_is_the_longest_name_of_whole_words(run: str, name: str) -> None:
+    """Kills: the first name that occurs anywhere in the path, as box in toolbox or box_large."""
+    assert _object_in(run, ["box", "box_large"]) == name
