@@ -82,13 +82,20 @@ def read_series(
                 raise InputError(f"{series.label} has no sample", file=file)
             if series.time.size:
                 read[name] = series.without_repeats() if mapping.time.repeated == "keep_first" else series
-    if "position" in read:
-        read["position"] = unwrapped(read["position"], mapping.facts)
-        if "q_desired" in read:
-            read["q_desired"] = unwrapped(read["q_desired"], mapping.facts, read["position"])
+    read |= _continuous_angles(read, mapping)
     if "velocity" in wanted and "velocity" not in sources and "position" in read:
         read["velocity"] = read["position"].derivative()
     return read
+
+
+def _continuous_angles(read: dict[SignalName, Series], mapping: Mapping) -> dict[SignalName, Series]:
+    """Positions of joints, and desired positions in the same turn."""
+    if "position" not in read:
+        return {}
+    position = unwrapped(read["position"], mapping.facts)
+    if "q_desired" not in read:
+        return {"position": position}
+    return {"position": position, "q_desired": unwrapped(read["q_desired"], mapping.facts, position)}
 
 
 def _check_is_read(path: Path, mapping: Mapping, names: Names) -> None:
