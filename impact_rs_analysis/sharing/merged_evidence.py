@@ -278,10 +278,12 @@ def _residual(studies: Sequence[_Study], consistent: Sequence[int], index: int, 
 
 
 def _comparable(studies: Sequence[_Study], consistent: Sequence[int], index_of_study: int) -> bool:
-    """Whether other laboratories have measured the robot and the object of a study."""
+    """Whether other laboratories have two studies or more, of the robot and of the object of a study among them."""
     study = studies[index_of_study]
     others = [studies[index] for index in consistent if studies[index].package.laboratory != study.package.laboratory]
-    return all(any(other.label(factor) == study.label(factor) for other in others) for factor in ("robot", "object"))
+    return len(others) > 1 and all(
+        any(other.label(factor) == study.label(factor) for other in others) for factor in ("robot", "object")
+    )
 
 
 def _numbers(studies: Sequence[_Study], indices: Sequence[int]) -> tuple[list[float], list[float]]:

@@ -154,6 +154,19 @@ def test_an_odd_laboratory_is_named_and_left_out() -> None:
     assert [one.laboratory for one in found.contributions if one.odd] == ["centre"]
 
 
+def test_a_package_without_two_of_other_laboratories_is_not_tested() -> None:
+    """Kills: a residual of nan as the least p-value, which excluded a sound package if its laboratory sorted first."""
+    for often, once in (("north", "south"), ("south", "north")):
+        values = ((often, 1.0), (often, 1.01), (often, 0.99), (once, 1.0))
+        packages = [
+            package_of(name, {"law": (value, ERROR)}, data=(file_of(f"{value} {name}"),)) for name, value in values
+        ]
+        merged = merge_packages(packages)
+        found = of(merged, "law")
+        assert merged.odd == {} and found.pooled.packages == 4
+        assert [one.residual is None for one in found.contributions] == [True, True, True, False]
+
+
 def test_a_parameter_of_the_robot_differs_by_robot_in_several_laboratories() -> None:
     values = {"north": 1.0, "south": 1.05, "west": 2.0, "east": 1.95}
     robots = {"north": "first", "south": "first", "west": "second", "east": "second"}
