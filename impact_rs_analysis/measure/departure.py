@@ -16,7 +16,6 @@ door may be its hinge: for an object on a hinge or slide, both distances refer t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -100,7 +99,7 @@ class ObjectDeparture:
 
 
 def departures(bag: TrialBag, columns: Mapping[str, ControllerColumns]) -> tuple[Departure, ...]:
-    """Separation of object and pads after the hit; empty without a recorded hit or object.
+    """Separation of object and pads after the hit; empty without an object, or a hit before the net feedback ends.
 
     Args:
         bag: The trial.
@@ -116,11 +115,12 @@ def departures(bag: TrialBag, columns: Mapping[str, ControllerColumns]) -> tuple
 def _departure(
     scenario: Scenario, bag: TrialBag, arm: str, controller: ControllerColumns, pose: PoseColumns
 ) -> Departure | None:
-    """Separation of object and pad of one arm."""
+    """Separation of object and pad of one arm; None without a hit (nan s), or without poses around it."""
     hit = bag.impact_time(arm)
     after = pose.time - hit
     in_window = (after >= SEPARATION_WINDOW_S[0]) & (after <= SEPARATION_WINDOW_S[1])
-    if not math.isfinite(hit) or pose.time[0] > hit or np.count_nonzero(in_window) < 3:
+    until_end = (after >= 0.0) & (pose.time <= bag.info.window_end)
+    if pose.time[0] > hit or np.count_nonzero(in_window) < 3 or not until_end.any():
         return None
     normal = scenario.robots[arm].impact_placement.rotation[:, 2]
     centre_distance, nearest_distance = _distances(normal, scenario.object(bag.info.object), pose, controller, hit)
@@ -131,7 +131,7 @@ def _departure(
     speed = float(np.polyfit(after[in_window], centre_distance[in_window], 1)[0])
     return Departure(
         arm=arm,
-        distance=float(nearest_distance[(after >= 0.0) & (pose.time <= bag.info.window_end)].max()),
+        distance=float(nearest_distance[until_end].max()),
         speed=speed,
         restitution=speed / closing,
         predicted=scenario.contact.restitution,

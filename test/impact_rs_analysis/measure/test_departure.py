@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -25,9 +26,9 @@ from impact_rs_analysis.measure.departure import (
 from impact_rs_analysis.report.analysis import write_analysis_report
 from impact_rs_cli.main import main
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.scenarios.scenario import ObjectSpec
+from impact_rs_sim.scenarios.scenario import ObjectSpec, load_scenario
 from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBag
-from impact_rs_trials.bags.topics import TRUTH_OBJECT_POSE
+from impact_rs_trials.bags.topics import OBJECT_POSE, TRUTH_OBJECT_POSE
 from impact_rs_trials.campaign import make_manifest, run_campaign
 
 SHORT = {"nominal_impact": 0.45, "approach": 0.4, "overrun": 0.1, "stop": 0.15, "push": 0.25, "slide": 0.1}  # s
@@ -84,6 +85,21 @@ def test_a_box_that_turns_on_the_pad_has_not_left_it() -> None:
     middle, distance = _distances(np.array([0.0, 1.0, 0.0]), spec, pose, cast(ControllerColumns, pad), hit=0.0)
     np.testing.assert_allclose(distance, 0.0, atol=1e-12)
     assert np.ptp(middle) > 0.015
+
+
+@pytest.mark.parametrize("after_end", [0.03, -0.002, math.nan])
+def test_a_hit_without_poses_before_the_net_feedback_ends_has_no_departure(after_end: float) -> None:
+    """Kills: the largest of no distances, a ValueError by which a trial without impact was listed as a damaged bag."""
+    scenario, window_end = load_scenario("push"), 1.5
+    time = window_end + 5e-3 * np.arange(-50, 50) + 2.5e-3  # poses at 200 Hz, none in the last 2.5 ms before the end
+    pose = PoseColumns(time, np.zeros((time.size, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (time.size, 1)))
+    pad = SimpleNamespace(time=time, position=np.zeros((time.size, 3)), ante_velocity=np.ones((time.size, 3)))
+    bag = SimpleNamespace(
+        path=Path("made_up"), counts={OBJECT_POSE: time.size}, poses=lambda _: pose,
+        impact_time=lambda _: window_end + after_end,
+        info=SimpleNamespace(scenario_json=scenario.model_dump_json(), object="cat_food", window_end=window_end),
+    )  # fmt: skip
+    assert departures(cast(TrialBag, bag), {"arm": cast(ControllerColumns, pad)}) == ()
 
 
 def test_analysis_terminal_and_report_say_it(bouncy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
