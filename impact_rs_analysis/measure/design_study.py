@@ -214,7 +214,8 @@ def study_designs(
         report: Called with (what, done, total).
 
     Raises:
-        InputError: No such robot or object, or too few poses that the robot reaches fast enough.
+        InputError: No such robot or object, too few poses that the robot reaches fast enough, or no design with an
+            answer.
     """
     conditions.scenario.object(conditions.object_name)
     all_robot_poses: list[RobotPose] = []
@@ -233,6 +234,10 @@ def study_designs(
         designs += answers
         failed |= robot_failed
         report("designs", done * len(conditions.pads), len(tasks) * len(conditions.pads))
+    if not designs:
+        without_loop = "no joint torque loop, so no reduced motor inertia; give --motor-inertia rotor"
+        name, reason = next(iter(failed.items()), (", ".join(robots), without_loop))
+        raise InputError(f"no design has an answer; {name}: {reason}")
     return DesignStudy(conditions, tuple(designs), failed, tries)
 
 

@@ -153,3 +153,12 @@ def test_table_holds_every_design_and_the_page_is_written(study: DesignStudy, tm
 def test_a_speed_that_no_pose_reaches_is_an_error() -> None:
     with pytest.raises(InputError, match="lower --speed"):
         random_poses("ur5e", replace(CONDITIONS, speed=50.0), 1)
+
+
+def test_a_study_without_any_answer_is_refused_with_the_reason() -> None:
+    """Kills: a study of no designs, whose page ended in an IndexError; both reasons for none are told apart."""
+    few = replace(CONDITIONS, pads=("narrow",), draws=1)
+    with pytest.raises(InputError, match="ur5e: no joint torque loop, .*; give --motor-inertia rotor"):
+        study_designs(replace(few, motor_inertias=("reduced",)), ("ur5e",), poses=1)
+    with pytest.raises(InputError, match="ur5e/1/rotor/narrow: 1 of 1 draws have an answer, expected two"):
+        study_designs(few, ("ur5e",), poses=1)
