@@ -137,9 +137,10 @@ def merge_packages(packages: Sequence[EvidencePackage]) -> MergedEvidence:
     named = {name for package in packages for name in package.diagnosis.named}
     studies, left_out = _studies(packages, named)
     consistent, outliers = _without_outliers(studies)
+    dispersions = {package.laboratory: _dispersion(studies, consistent, package.laboratory)[0] for package in packages}
     parameters, outlier_laboratories = [], defaultdict(list)
     for key, group in studies.items():
-        parameters.append(_merged(group, consistent[key], outliers.get(key, {})))
+        parameters.append(_merged(group, consistent[key], outliers.get(key, {}), dispersions))
         for study in outliers.get(key, {}):
             outlier_laboratories[group[study].package.laboratory].append(".".join(key))
     return MergedEvidence(
@@ -268,7 +269,7 @@ def _dispersion(
     return (total / degrees_of_freedom if degrees_of_freedom else 1.0), degrees_of_freedom
 
 
-def _residual(studies: Sequence[_Study], consistent: Sequence[int], index: int, dispersion: float = 1.0) -> float:
+def _residual(studies: Sequence[_Study], consistent: Sequence[int], index: int, dispersion: float) -> float:
     """Studentised residual of a study from the studies of other laboratories; nan with fewer than two."""
     study = studies[index]
     other_indices = [
@@ -290,8 +291,13 @@ def _numbers(studies: Sequence[_Study], indices: Sequence[int]) -> tuple[list[fl
     return [studies[index].value for index in indices], [studies[index].error for index in indices]
 
 
-def _merged(studies: Sequence[_Study], consistent: Sequence[int], outliers: Mapping[int, float]) -> MergedParameter:
-    """One parameter."""
+def _merged(
+    studies: Sequence[_Study],
+    consistent: Sequence[int],
+    outliers: Mapping[int, float],
+    dispersions: Mapping[str, float],
+) -> MergedParameter:
+    """One parameter, with the dispersion h^2 of the other laboratories by laboratory."""
     values, errors = _numbers(studies, consistent)
     pooled = pool(values, errors)
     belongs_to: tuple[str, ...] = (SHARED_PARAMETER,)
@@ -300,7 +306,10 @@ def _merged(studies: Sequence[_Study], consistent: Sequence[int], outliers: Mapp
         belongs_to = _belongs_to(studies, consistent, pooled.q) or (UNCLEAR_PARAMETER,)
         if belongs_to != (UNCLEAR_PARAMETER,):
             groups = _groups(studies, consistent, belongs_to[0])
-    residuals = {index: _residual(studies, consistent, index) for index in consistent}
+    residuals = {
+        index: _residual(studies, consistent, index, dispersions[studies[index].package.laboratory])
+        for index in consistent
+    }
     contributions = [
         Contribution(
             laboratory=study.package.laboratory,

@@ -167,6 +167,13 @@ def test_a_package_without_two_of_other_laboratories_is_not_tested() -> None:
         assert [one.residual is None for one in found.contributions] == [True, True, True, False]
 
 
+def test_the_residual_of_a_package_is_the_one_that_was_tested() -> None:
+    """Kills: residuals of the packages that stay without the dispersion h^2 of the others, here 4 * 1.2^2 / 3."""
+    values = dict(zip(LABORATORIES, (1.3, 0.88, 1.12, 0.88, 1.12), strict=True))
+    found = of(merge_packages([package_of(name, {"law": (value, ERROR)}) for name, value in values.items()]), "law")
+    assert found.contributions[0].residual == pytest.approx(0.3 / (ERROR * np.sqrt(4.0 * 1.2**2 / 3.0 * 1.25)))
+
+
 def test_a_parameter_of_the_robot_differs_by_robot_in_several_laboratories() -> None:
     values = {"north": 1.0, "south": 1.05, "west": 2.0, "east": 1.95}
     robots = {"north": "first", "south": "first", "west": "second", "east": "second"}
