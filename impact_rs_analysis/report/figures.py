@@ -212,16 +212,15 @@ def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
     for model in MOTOR_INERTIA_MODELS:
         name, colour, marker = MODEL_STYLE[model]
         velocity, mismatch = predictions[model].velocity, predictions[model].error
-        label = f"{name}: {abs(velocity):.3f} m/s ({mismatch:+.2f} %)".replace("-", "−")
+        label = f"{name}: {entry.sign * velocity:.3f} m/s ({mismatch:+.2f} %)".replace("-", "−")
         curve = Curve(label, np.array([velocity]), np.zeros(1), colour, line="none", marker=marker)  # type: ignore[arg-type]
         curves.append(curve)
     # Intervals are drawn below the zero line and away from the fitted line, where no markers cover them.
     depth = -0.08 * (np.max(y) - np.min(y)) * np.ones(2)
     if contact == "first" and entry.prediction_interval is not None:
-        lower, upper = entry.prediction_interval
-        low, high = sorted((abs(lower), abs(upper)))
+        low, high = sorted(entry.sign * bound for bound in entry.prediction_interval)
         label = "B<sub>θ</sub>, 95 %: {} to {} m/s".format(*estimate_text(low, (low, high), least=3)[1:])
-        curves.append(Curve(label, np.array([lower, upper]), depth, BLUE))
+        curves.append(Curve(label.replace("-", "−"), np.array(entry.prediction_interval), depth, BLUE))
     if band is not None:
         label = f"Systematic band: {band[0]:+.1f} % to {band[1]:+.1f} %".replace("-", "−")
         curves.append(Curve(label, fit.estimate * (1.0 + np.array(band) / 100.0), 1.5 * depth, BLACK))
