@@ -44,9 +44,9 @@ def rule_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
             *[condition for condition in reversed(hits) if condition[1] != hits[0][1]][:1],
             *hits[-1:],
         ]
-        first_conditions = list(dict.fromkeys([*contrasting[:2], *free[:2], *hits]))[: max(3, wanted.budget // 2)][:4]
-        for condition in first_conditions:
-            chosen[condition] = 2
+        first_conditions = list(dict.fromkeys([*contrasting[:2], *free[:2], *hits]))
+        for condition in first_conditions[: max(1, min(4, wanted.budget // 2))]:
+            chosen[condition] = min(2, wanted.budget)
         reason = "Two objects and free motion, to find where the model fails."
     else:
         experiment = None if wanted.document is None else wanted.document.next_experiment
