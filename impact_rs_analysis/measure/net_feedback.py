@@ -80,7 +80,7 @@ class TrialFeedback:
     @property
     def spread(self) -> float:
         """Time between the first and the last arm's impact [s]; NaN where an arm detected none."""
-        return max(self.impact_times) - min(self.impact_times)
+        return float(np.ptp(self.impact_times))
 
 
 def zero_order_hold_integral(time: Array, signal: Array, start: float, end: float) -> tuple[Array, float]:

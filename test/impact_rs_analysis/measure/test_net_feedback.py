@@ -132,6 +132,12 @@ def test_arms_with_stamps_of_their_own_are_brought_to_one_clock() -> None:
     np.testing.assert_allclose(net_feedback(bag).feedback[1:], TIMES[1:], atol=1e-12)
 
 
+@pytest.mark.parametrize("moments", [(0.9, np.nan), (np.nan, 0.9)])
+def test_the_spread_is_nan_whichever_arm_has_no_hit(moments: tuple[float, float]) -> None:
+    """Kills: max() - min(), which skip a nan that does not come first: 0 s."""
+    assert np.isnan(replace(net_feedback(recorded({"left": UP, "right": UP})), impact_times=moments).spread)
+
+
 @pytest.mark.parametrize(
     ("moments", "impact"), [((0.8, 1.5), True), ((0.79, 0.9), False), ((0.9, 1.51), False), ((0.9, np.nan), False)]
 )
