@@ -79,6 +79,11 @@ class SpeedLimit:
         }
 
 
+def speed_words(speed: float) -> str:
+    """A limit in a sentence."""
+    return f"{speed:.3f} m/s" if np.isfinite(speed) else f"more than {MAX_SPEED_M_S:g} m/s"
+
+
 def speed_limit(hits: Hits) -> SpeedLimit:
     """The highest approach speed of a scene.
 

@@ -16,7 +16,7 @@ import plotly.graph_objects as go
 
 from impact_rs_analysis.limits.hit_bounds import KIND_WORDS, KINDS
 from impact_rs_analysis.limits.poses import PlacedLimit
-from impact_rs_analysis.limits.speed import HOLD_PROBABILITY, SpeedLimit
+from impact_rs_analysis.limits.speed import HOLD_PROBABILITY, SpeedLimit, speed_words
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, SKY
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.page_names import LIMITS_DATA, LIMITS_PAGE, LIMITS_TABLE
@@ -76,7 +76,7 @@ def write_limits(
     slowest = min(limits, key=lambda limit: limit.speed)
     answer = (
         f"{len(limits) - len(too_fast)} of {len(limits)} planned hits are allowed. The least is "
-        f"{slowest.speed:.3f} m/s ({slowest.object_name}, {slowest.case_name}; {slowest.binding})."
+        f"{speed_words(slowest.speed)} ({slowest.object_name}, {slowest.case_name}; {slowest.binding})."
     )
     page = SpeedLimitPage(
         title=f"How fast may {scenario.name} hit?",

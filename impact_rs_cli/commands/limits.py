@@ -13,7 +13,7 @@ from rich.table import Table
 
 from impact_rs_analysis.limits.hit_bounds import KIND_WORDS, KINDS, Thresholds
 from impact_rs_analysis.limits.poses import LimitTask, PlacedLimit, limit_of
-from impact_rs_analysis.limits.speed import HOLD_PROBABILITY, SpeedLimit
+from impact_rs_analysis.limits.speed import HOLD_PROBABILITY, SpeedLimit, speed_words
 from impact_rs_analysis.report.speed_limits import limits_document, write_limits
 from impact_rs_cli.arguments import settings_of, started_workers
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if placed_limits:
         reachable_speeds = [result.limit.speed for result in placed_limits if result.limit is not None]
         span = (
-            f"{min(reachable_speeds):.3f} to {max(reachable_speeds):.3f} m/s"
+            f"{speed_words(min(reachable_speeds))} to {speed_words(max(reachable_speeds))}"
             if reachable_speeds
             else "no speed: none can be reached"
         )
