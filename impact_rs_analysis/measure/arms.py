@@ -61,6 +61,11 @@ def arms_of(physics_list: Iterable[Physics]) -> tuple[ArmDocument, ...]:
     return tuple(documents)
 
 
+def arm_titles(arms: Iterable[ArmDocument], name: str = "") -> str:
+    """Titles of the arms with a name, several if scenarios have different arms of it; without a name of all arms."""
+    return ", ".join(dict.fromkeys(arm.title for arm in arms if name in ("", arm.name)))
+
+
 def assumptions(arms: Iterable[ArmDocument]) -> list[str]:
     """Assumptions about arms, as a list with one sentence; empty without assumptions."""
     by_arm: dict[str, tuple[str, ...]] = {}

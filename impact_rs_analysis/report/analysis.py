@@ -11,7 +11,7 @@ from pathlib import Path
 
 from impact_rs_analysis.evidence.tracks import Track, track_of_bag
 from impact_rs_analysis.measure.analyze import Analysis, ArmSet, ExperimentSet
-from impact_rs_analysis.measure.arms import ArmDocument, assumptions
+from impact_rs_analysis.measure.arms import ArmDocument, arm_titles, assumptions
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.sensitivity import setting_words
 from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
@@ -238,11 +238,10 @@ def _animation(entry: ExperimentSet) -> Track | None:
 
 def arm_rows(analysis: Analysis) -> dict[str, list[tuple[str, ArmSet]]]:
     """Sets with their labels, by title of the arm; empty if every set has one arm."""
-    titles = {arm.name: arm.title for arm in analysis.arms}
     rows: dict[str, list[tuple[str, ArmSet]]] = {}
     for entry in analysis.sets:
         for arm in entry.arms:
-            rows.setdefault(titles.get(arm.name, arm.name), []).append((entry.label, arm))
+            rows.setdefault(arm_titles(analysis.arms, arm.name), []).append((entry.label, arm))
     return rows
 
 

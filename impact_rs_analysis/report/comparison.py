@@ -17,6 +17,7 @@ from impact_rs_analysis.evidence.cluster import SCALE, TIMES
 from impact_rs_analysis.evidence.levels import Cell, JumpLevel, SignalLevel
 from impact_rs_analysis.evidence.rollouts import RolloutDocument
 from impact_rs_analysis.evidence.tracks import Track
+from impact_rs_analysis.measure.arms import arm_titles
 from impact_rs_analysis.report.agreement_graph import AgreementGraph, agreement_graph
 from impact_rs_analysis.report.animation import ReplayPart
 from impact_rs_analysis.report.error_history import HistoryPart, history_part
@@ -305,7 +306,6 @@ def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
 
 def joint_tables(document: ComparisonDocument) -> tuple[JointTable, ...]:
     """Signals joint by joint, a table per arm."""
-    titles = {arm.name: arm.title for arm in document.arms}
     tables = []
     for arm in dict.fromkeys(row.arm for row in document.joints):
         rows_of_arm = {(row.index, row.phase, row.signal): row for row in document.joints if row.arm == arm}
@@ -317,7 +317,7 @@ def joint_tables(document: ComparisonDocument) -> tuple[JointTable, ...]:
         signals = [signal for signal, row in largest.items() if row.error >= row.floor]
         tables.append(
             JointTable(
-                title=titles.get(arm, "") if arm else ", ".join(titles.values()),
+                title=arm_titles(document.arms, arm),
                 signals=tuple(f"{phase_text(phase)}: {signal}" for phase, signal in signals),
                 rows={joint: [rows_of_arm.get((joint, *signal)) for signal in signals] for joint in joints}
                 if signals

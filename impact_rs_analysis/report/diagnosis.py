@@ -20,6 +20,7 @@ from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, remaining, shown_unnamed
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import Track
+from impact_rs_analysis.measure.arms import arm_titles
 from impact_rs_analysis.report.comparison import ResidualsPart, TracksPart, residuals_part, tracks_part
 from impact_rs_analysis.report.error_history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import Tag, signal_text, tag_of
@@ -168,7 +169,7 @@ def write_diagnosis(
         on_scale=document.error_unit == TIMES,
         document=document,
         comparison=comparison,
-        arms={arm.name: arm.title for arm in comparison.arms},
+        arms={arm.name: arm_titles(comparison.arms, arm.name) for arm in comparison.arms},
         limits=_relevance_limits(comparison),
         ranges=tuple(
             (f"{effect.name}: {name}", estimate)

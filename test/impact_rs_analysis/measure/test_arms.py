@@ -3,15 +3,20 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
+import documents
 import numpy as np
 import pytest
 from mixed_grab import FILE, MIXED
 
+from impact_rs_analysis.evidence.levels import SignalLevel
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
-from impact_rs_analysis.measure.arms import arms_of, assumptions, robot_name
+from impact_rs_analysis.measure.arms import arm_titles, arms_of, assumptions, robot_name
 from impact_rs_analysis.measure.predictions import predict, predict_arms
-from impact_rs_analysis.report.analysis import write_analysis_report
+from impact_rs_analysis.report.analysis import arm_rows, write_analysis_report
+from impact_rs_analysis.report.comparison import joint_tables
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import load_facts
 from impact_rs_sim.scenarios.scenario import load_scenario
@@ -33,6 +38,31 @@ def test_arms_are_described_with_robot_joints_limits_and_motor_inertias() -> Non
     assert left.torque_limits_Nm == load_facts("franka_fr3").limits.torque_Nm
     assert left.torque_loop and left.motor_inertia_reduced_kg_m2[0] < left.motor_inertia_rotor_kg_m2[0]
     assert not right.torque_loop and right.motor_inertia_reduced_kg_m2 == right.motor_inertia_rotor_kg_m2
+
+
+def test_a_name_of_two_robots_has_both_titles() -> None:
+    """Kills: titles by name alone, where the last scenario's robot stood above the rows of both."""
+    arms = arms_of(Physics.nominal(load_scenario(name), "parcel") for name in ("push", "push_ur5e"))
+    titles = "arm: franka_fer, 7 joints, arm: ur5e, 6 joints"
+    assert arm_titles(arms, "arm") == arm_titles(arms) == titles
+    assert arm_titles(arms[1:], "arm") == "arm: ur5e, 6 joints"
+    row = SignalLevel(
+        phase="free",
+        signal="torque",
+        index="joint1",
+        arm="arm",
+        error=1.0,
+        noise_floor=0.1,
+        unit="N m",
+        times_noise=10.0,
+    )
+    document = documents.comparison().model_copy(update={"arms": arms, "joints": (row,)})
+    assert [table.title for table in joint_tables(document)] == [titles]
+    sets = [SimpleNamespace(label=label, arms=[SimpleNamespace(name="arm")]) for label in ("push", "push_ur5e")]
+    rows = arm_rows(cast(Analysis, SimpleNamespace(arms=arms, sets=sets)))
+    assert {title: [label for label, _ in of_title] for title, of_title in rows.items()} == {
+        titles: ["push", "push_ur5e"]
+    }
 
 
 def test_a_robot_that_is_not_shipped_goes_by_where_its_facts_come_from() -> None:
