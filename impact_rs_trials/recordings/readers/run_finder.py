@@ -9,14 +9,15 @@ how recordings contain runs (:func:`find_runs`):
     run_1/joints.csv, run_1/pose.csv        a run is a folder with the files that the mapping names
     joints_1.csv, pose_1.csv                a run is the name that replaces ``{run}`` in them
 
-A table of runs names them (:func:`find_run`).
+A table of runs names them (:func:`find_run`). Hidden files and folders hold neither: they are copies of editors and
+file systems, or half-written.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError, did_you_mean
@@ -45,6 +46,11 @@ def natural_key(name: str | Path) -> list[tuple[bool, int, str]]:
     """Natural sort key: run 9 comes before run 10."""
     parts = re.split(r"(\d+)", str(name))
     return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
+
+
+def visible(folder: Path, paths: Iterable[Path]) -> list[Path]:
+    """Paths below a folder that are not hidden: no name below the folder begins with a dot."""
+    return [path for path in paths if not any(name.startswith(".") for name in path.relative_to(folder).parts)]
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -94,11 +100,11 @@ def find_recordings(path: Path, notes: bool = False) -> list[Path]:
         raise InputError("no such file or folder", file=path)
     if is_bag_folder(path):
         return [path]
-    bags = {file.parent for file in path.rglob(BAG_METADATA)}
+    bags = {file.parent for file in visible(path, path.rglob(BAG_METADATA))}
     data_sets = {file.parent for file in path.rglob(str(INFO))}
     files = {
         file
-        for file in path.rglob("*")
+        for file in visible(path, path.rglob("*"))
         if suffix_of(file) in FILE_SUFFIXES and file.name != RUN_TABLE and file.parent not in bags and file.is_file()
         if data_sets.isdisjoint(file.parents)
     }
@@ -183,7 +189,7 @@ def _file_patterns(mapping: Mapping) -> set[str | None]:
 
 def _spread_below(folder: Path, mapping: Mapping) -> list[Path]:
     """Runs of :func:`_spread_runs` in a folder and its subfolders; each folder is a session."""
-    below = sorted((subfolder for subfolder in folder.rglob("*") if subfolder.is_dir()), key=natural_key)
+    below = sorted((subfolder for subfolder in visible(folder, folder.rglob("*")) if subfolder.is_dir()), key=natural_key)
     return [run for session in (folder, *below) for run in _spread_runs(session, mapping)]
 
 
@@ -194,14 +200,15 @@ def _spread_runs(folder: Path, mapping: Mapping) -> list[Path]:
         expression = re.escape(pattern)
         for part in PLACEHOLDERS:
             expression = _with_group(expression, re.escape(f"{{{part}}}"), part)
-        runs |= {match["run"] for file in folder.iterdir() if (match := re.fullmatch(expression, file.name))}
+        files = visible(folder, folder.iterdir())
+        runs |= {match["run"] for file in files if (match := re.fullmatch(expression, file.name))}
     return [folder / run for run in sorted(runs, key=natural_key)]
 
 
 def _run_folders(folder: Path, mapping: Mapping) -> list[Path]:
     """Folders of one run each, which have all files of the mapping: this folder, or folders below it."""
     files = sorted(filter(None, _file_patterns(mapping)))
-    folders = {file_path.parent for file_path in folder.rglob(Path(files[0]).name)}
+    folders = {file_path.parent for file_path in visible(folder, folder.rglob(Path(files[0]).name))}
     return sorted((run for run in folders if all((run / file).is_file() for file in files)), key=natural_key)
 
 

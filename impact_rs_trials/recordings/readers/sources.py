@@ -19,6 +19,7 @@ from impact_rs_trials.recordings.readers.run_finder import (
     TABLE_SUFFIXES,
     is_bag_folder,
     name_of,
+    visible,
 )
 from impact_rs_trials.recordings.readers.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.readers.table_file import TableFile
@@ -128,7 +129,7 @@ def _file_of(path: Path, source: SignalSource, names: Names) -> Path:
         return path.parent
     if not path.is_dir() or is_bag_folder(path):
         return path
-    files = sorted(file for file in path.iterdir() if suffix_of(file) in SEARCHED_SUFFIXES)
+    files = sorted(file for file in visible(path, path.iterdir()) if suffix_of(file) in SEARCHED_SUFFIXES)
     if len(files) == 1:  # a bag that has lost its metadata.yaml, or a table in a folder of its own
         return files[0]
     if not files:

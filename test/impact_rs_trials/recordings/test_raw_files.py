@@ -274,6 +274,17 @@ def test_runs_are_found_by_the_names_of_their_files(spread: Path) -> None:
     np.testing.assert_array_equal(found.values, VALUES)
 
 
+def test_hidden_files_are_no_files_of_runs(spread: Path) -> None:
+    """Kills: `folder.iterdir()` and `folder.rglob(...)` unfiltered, which find copies of editors as further runs."""
+    for name in (".IIWA_7_hit_3.csv", ".ipynb_checkpoints/IIWA_7_hit_4.csv", "b/joints.csv", ".b/joints.csv"):
+        (spread / name).parent.mkdir(exist_ok=True)
+        (spread / name).write_text("RosTime\n")
+    assert [path.name for path in find_runs(spread, spread_mapping())] == ["2", "9", "10"]
+    prefixed = mapping_of(column="JointPosition", file="{run}.csv")
+    assert all(not path.name.startswith(".") for path in find_runs(spread, prefixed))
+    assert find_runs(spread, mapping_of(column="JointPosition", file="joints.csv")) == [spread / "b"]
+
+
 def test_a_table_of_runs_names_runs_that_are_spread_over_files(spread: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (spread / "runs.csv").write_text("bag,object,kind\n9,none,free motion\n10,none,free motion\n")
     experiment = Experiment(scenario="push")

@@ -134,6 +134,22 @@ def test_a_table_of_runs_is_no_recording_and_notes_are_some_only_where_nothing_e
     assert find_recordings(tmp_path) == find_recordings(tmp_path, notes=True) == [tmp_path / "one"]
 
 
+def test_hidden_files_and_folders_are_no_recordings(tmp_path: Path) -> None:
+    """Kills: `path.rglob("*")` unfiltered, which counts a checkpoint of an editor as a run of its own."""
+    folder = tmp_path / ".data"  # named by the user: what is hidden counts below it
+    for name in ("hit.csv", "._hit.csv", ".ipynb_checkpoints/hit-checkpoint.csv", ".half/metadata.yaml"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("")
+    assert find_recordings(folder) == [folder / "hit.csv"]
+
+
+def test_a_run_is_read_from_the_one_file_of_its_folder_that_is_not_hidden(tmp_path: Path) -> None:
+    """Kills: `path.iterdir()` unfiltered in the search for the file of a run."""
+    write_csv(tmp_path / "log.csv", COLUMNS)
+    (tmp_path / "._log.csv").write_bytes(bytes(100))
+    assert read_series(tmp_path, PLAIN, ["position"], ["position"])["position"].time.size == TIME.size
+
+
 def test_natural_order_counts_numbers_in_names() -> None:
     """Kills the order of letters, in which run 10 comes before run 9."""
     assert sorted(["run_10", "run_9", "a_2/run_1", "run"], key=natural_key) == ["a_2/run_1", "run", "run_9", "run_10"]
