@@ -76,14 +76,23 @@ def write_ros1_bag(
     columns: Columns,
     order: Sequence[int],
     names: Sequence[str] = tuple(f"fer_joint{joint}" for joint in range(1, 8)),
+    gripper: str | None = None,
 ) -> Path:
-    """A bag of ROS 1 with JointState messages, whose headers have a number ``seq`` that those of ROS 2 lack."""
+    """A bag of ROS 1 with JointState messages, whose headers have a number ``seq`` that those of ROS 2 lack.
+
+    With ``gripper``, the name of its joint, a second node publishes that joint on the same topic.
+    """
     store, kind = get_typestore(Stores.ROS1_NOETIC), "sensor_msgs/msg/JointState"
     with Ros1Writer(path) as writer:
-        connection = writer.add_connection("/arm/joint_states", kind, typestore=store)
+        connection = writer.add_connection("/arm/joint_states", kind, typestore=store, callerid="/arm")
+        if gripper is not None:
+            second = writer.add_connection("/arm/joint_states", kind, typestore=store, callerid="/gripper")
         for row, time in enumerate(columns["time"]):
             signals = {name: columns[name][row, list(order)] for name in SIGNALS}
             stamp, own = divmod(round(time * 1e9), 10**9), [names[joint] for joint in order]
             content = {"header.seq": row, "header.stamp": stamp, "name": own, **signals}
             writer.write(connection, round(time * 1e9), store.serialize_ros1(message(kind, content, store), kind))
+            if gripper is not None:
+                content = {"header.stamp": stamp, "name": [gripper], **{name: np.zeros(1) for name in SIGNALS}}
+                writer.write(second, round(time * 1e9), store.serialize_ros1(message(kind, content, store), kind))
     return path

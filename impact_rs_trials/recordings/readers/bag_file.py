@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags of ROS 2 (SQLite or MCAP) and of ROS 1, and MCAP files without ROS (:mod:`mcap_messages`).
 
-A signal has a topic, a message type and a field.
+A signal has a topic, a message type and a field. A topic may have several publishers, each with a connection of its own
+in bags of ROS 1 and in MCAP files without ROS.
 
 A run has one clock. If header timestamps define it, times of a topic without headers are computed from log times:
 
@@ -227,13 +228,14 @@ class BagFile:
         opened = _opened(path, mapping.definitions)
         chosen = opened.read(lambda connections: self._chosen(wanted, connections))
         self._messages = opened.messages
-        for connection in chosen:
-            count = self._messages[connection.topic].logs.size
-            if count != connection.msgcount:
-                text = f"{connection.topic}: {count} messages, {connection.msgcount} are counted in the bag's metadata"
+        for topic in {connection.topic for connection in chosen}:
+            count = self._messages[topic].logs.size
+            counted = sum(connection.msgcount for connection in chosen if connection.topic == topic)
+            if count != counted:
+                text = f"{topic}: {count} messages, {counted} are counted in the bag's metadata"
                 if not count:
                     raise InputError(text, file=path)
-                self._lost[connection.topic] = (f"{text}: a part is lost, or the metadata are of another bag",)
+                self._lost[topic] = (f"{text}: a part is lost, or the metadata are of another bag",)
         self._unread = opened.unread
         self._shift: tuple[float, str] | None = None
 
@@ -244,7 +246,7 @@ class BagFile:
             MissingSignal: The bag lacks it.
             InputError: It cannot be used.
         """
-        connection = self._connection(name, source)
+        connection, *_ = self._publishers(name, source)
         recorded = self._messages[connection.topic]
         label = f"{connection.topic}: {source.field or connection.msgtype} ({name})"
         if name in FIELDLESS:
@@ -261,18 +263,18 @@ class BagFile:
 
     def _chosen(self, wanted: tuple[SignalName, ...], connections: list[Connection]) -> list[Connection]:
         self._connections = connections
-        chosen: dict[str, Connection] = {}
+        chosen: dict[str, list[Connection]] = {}
         clocks: tuple[SignalName, ...] = ("position",) if wanted and "position" in self._mapping.signals else ()
         for name in dict.fromkeys((*wanted, *clocks)):  # other signals are put on the clock of the joint states
             try:
-                connection = self._connection(name, self._mapping.signals[name])
+                publishers = self._publishers(name, self._mapping.signals[name])
             except MissingSignal:
                 continue  # the caller of series() decides whether it is needed
-            chosen[connection.topic] = connection
-        return list(chosen.values())
+            chosen[publishers[0].topic] = publishers
+        return [connection for publishers in chosen.values() for connection in publishers]
 
-    def _connection(self, name: SignalName, source: SignalSource) -> Connection:
-        """The topic of a signal."""
+    def _publishers(self, name: SignalName, source: SignalSource) -> list[Connection]:
+        """Connections of the publishers of a signal's topic, all of one message type."""
         if source.topic is None or (source.field is None and name not in FIELDLESS):
             raise MissingSignal(f"the mapping says no topic and field for {name}", file=self._path)
         topic = self._names.fill(source.topic)
@@ -281,13 +283,11 @@ class BagFile:
         expected = f"{name}: expected topic {topic}" + ("" if source.type is None else f" of type {source.type}")
         if not self._connections:
             raise MissingSignal(f"{expected}, the bag is empty", file=self._path)
-        if len(matches) > 1:
-            filled = [c for c in matches if c.msgcount > 0]
-            matches = filled if len(filled) == 1 else matches
-        if len(matches) > 1:
-            topics = ", ".join(c.topic for c in matches)
+        matches = [c for c in matches if c.msgcount > 0] or matches
+        kinds = dict.fromkeys(f"{c.topic} ({c.msgtype})" for c in matches)
+        if len(kinds) > 1:
             raise InputError(
-                f"{expected}, found several: {topics}; name one of them in a mapping file", file=self._path
+                f"{expected}, found several: {', '.join(kinds)}; name one of them in a mapping file", file=self._path
             )
         if not matches:
             suggestion = did_you_mean(topic, [c.topic for c in self._connections]) if not of_topic else ""
@@ -295,7 +295,7 @@ class BagFile:
             raise MissingSignal(f"{expected}, found {shown}{suggestion}", file=self._path)
         if matches[0].msgcount == 0:
             raise MissingSignal(f"{expected}, topic {matches[0].topic} holds no message", file=self._path)
-        return matches[0]
+        return matches
 
     # ---- time -------------------------------------------------------------------------------------------------------
 
@@ -338,7 +338,7 @@ class BagFile:
         if "position" not in self._mapping.signals:
             return 0.0, ""
         if self._shift is None:
-            connection = self._connection("position", self._mapping.signals["position"])
+            connection, *_ = self._publishers("position", self._mapping.signals["position"])
             recorded = self._messages[connection.topic]
             log = 1e-9 * recorded.logs.astype(float)
             delay = log - _stamps([message.header for message in recorded.messages])

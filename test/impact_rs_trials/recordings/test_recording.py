@@ -67,6 +67,13 @@ def test_a_bag_of_ros_1_is_read_as_one_of_ros_2_is(tmp_path: Path) -> None:
     assert "not a readable bag" in refusal(read_recordings, tmp_path / "cut.bag", PLAIN)
 
 
+def test_two_nodes_of_ros_1_publish_one_topic(tmp_path: Path) -> None:
+    """Kills: `len(matches) > 1` as the sign of several topics; in bags of ROS 1 every publisher is a connection."""
+    run = read_recording(write_ros1_bag(tmp_path / "run.bag", COLUMNS, range(7), gripper="finger"))
+    assert_read(run)
+    assert not [remark for remark in run.remarks if "counted in the bag's metadata" in remark]
+
+
 def test_a_folder_whose_file_is_not_of_ros_is_refused_with_what_to_do(tmp_path: Path) -> None:
     """Kills the words of a library, which name a profile and no remedy."""
     bag = write_bag(tmp_path / "bag", COLUMNS, range(7))
