@@ -242,7 +242,7 @@ def test_entries_name_the_joints_among_the_numbers_of_a_message(tmp_path: Path) 
 
 
 def test_entries_are_not_for_messages_that_name_their_joints() -> None:
-    with pytest.raises(ValueError, match="joints those of messages with names"):
+    with pytest.raises(ValueError, match="for messages with names joints"):
         array_mapping(names="name", entries=range(1, 8))
 
 
