@@ -8,7 +8,8 @@ A run has one clock. If header timestamps define it, times of a topic without he
 
     stamp  =  log - median(log - stamp of the joint states)
 
-The common transport delay cancels; the excess over the delay of the joint states remains as an error.
+The common transport delay cancels; the excess over the delay of the joint states remains as an error. If the joint
+states lie in another file, no delay is subtracted.
 """
 
 from __future__ import annotations
@@ -223,6 +224,9 @@ class BagFile:
     def __init__(self, path: Path, mapping: Mapping, names: Names, wanted: tuple[SignalName, ...]) -> None:
         self._path, self._mapping, self._names = path, mapping, names
         self._joints = tuple(names.fill(joint) for joint in mapping.joints)
+        files = {mapping.signals[name].file for name in wanted if name in mapping.signals}
+        position = mapping.signals.get("position")
+        self._joint_states = None if position is None or position.file not in files else position  # in this file
         self._lost: dict[str, tuple[str, ...]] = {}
         self._connections: list[Connection] = []
         opened = _opened(path, mapping.definitions)
@@ -264,7 +268,7 @@ class BagFile:
     def _chosen(self, wanted: tuple[SignalName, ...], connections: list[Connection]) -> list[Connection]:
         self._connections = connections
         chosen: dict[str, list[Connection]] = {}
-        clocks: tuple[SignalName, ...] = ("position",) if wanted and "position" in self._mapping.signals else ()
+        clocks: tuple[SignalName, ...] = () if self._joint_states is None else ("position",)
         for name in dict.fromkeys((*wanted, *clocks)):  # other signals are put on the clock of the joint states
             try:
                 publishers = self._publishers(name, self._mapping.signals[name])
@@ -322,7 +326,7 @@ class BagFile:
             )
         if clock == "log":
             return stamps + float(np.median(log - stamps)), ()
-        if "position" not in self._mapping.signals:  # no joint states to be late against
+        if self._joint_states is None:  # nothing to be late against
             return stamps, ()
         excess_delay = float(np.median(log - stamps)) - self._log_after_stamp()[0]
         if name in WIDTHS and not EXPECTED_LOG_DELAY_S[0] < excess_delay < EXPECTED_LOG_DELAY_S[1]:
@@ -335,10 +339,10 @@ class BagFile:
 
     def _log_after_stamp(self) -> tuple[float, str]:
         """Median log delay of the joint states [s], 0 without them, and a warning if it drifts."""
-        if "position" not in self._mapping.signals:
+        if self._joint_states is None:
             return 0.0, ""
         if self._shift is None:
-            connection, *_ = self._publishers("position", self._mapping.signals["position"])
+            connection, *_ = self._publishers("position", self._joint_states)
             recorded = self._messages[connection.topic]
             log = 1e-9 * recorded.logs.astype(float)
             delay = log - _stamps([message.header for message in recorded.messages])

@@ -87,6 +87,25 @@ def test_a_folder_whose_file_is_not_of_ros_is_refused_with_what_to_do(tmp_path: 
         assert "Profile" not in said and "JSON or Protobuf" in said and "give the .mcap file itself" in said
 
 
+@pytest.mark.parametrize("kind", ["geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Pose"])
+def test_a_bag_of_poses_beside_a_table_of_joints_is_read(tmp_path: Path, kind: str) -> None:
+    """Kills: the delay of joint states that lie in another file, for which the poses were missing without a word."""
+    write_csv(tmp_path / "joints.csv", COLUMNS)
+    store, field = typestore(), "pose." if kind.endswith("Stamped") else ""
+    with Writer(tmp_path / "poses", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/pose", kind, typestore=store)
+        for time in TIME:
+            stamp = {"header.stamp": divmod(round(1e9 * time), 10**9)} if field else {}
+            pose = message(kind, {f"{field}position": (time, 0.0, 0.0), f"{field}orientation": (0, 0, 0, 1), **stamp})
+            writer.write(connection, round(1e9 * time), store.serialize_cdr(pose, kind))
+    content = PLAIN.model_dump()
+    signals = {name: {**source, "file": "joints.csv"} for name, source in content["signals"].items()}
+    signals["object_pose"] = {"topic": "/pose", "unit": "m", "file": "poses"}
+    series = read_series(tmp_path, Mapping.model_validate({**content, "signals": signals}), signals, ["position"])
+    np.testing.assert_allclose(series["object_pose"].time, TIME, atol=1e-9)
+    np.testing.assert_allclose(series["object_pose"].values[:, 0], TIME, atol=1e-9)
+
+
 @pytest.mark.parametrize(("stamp", "start"), [("header", 5.0), ("log", 0.0)])
 def test_time_is_that_of_the_header_or_of_the_log_as_the_mapping_says(tmp_path: Path, stamp: str, start: float) -> None:
     bag = write_bag(tmp_path / "bag", COLUMNS, range(7), behind=5.0)
