@@ -91,13 +91,17 @@ def identify(
 def prepare_output(scenario_name: str, path: Path) -> Path:
     """Make the folder for a compensation before the long identification, and check that its files can be written.
 
+    The copy of the scenario is loaded once, without a compensation.
+
     Returns:
         Path for the copy of the scenario that uses the compensation.
 
     Raises:
-        InputError: One of the two files exists already, the folder cannot be made, or there is no such scenario.
+        InputError: One of the two files exists already, the folder cannot be made, or there is no such scenario, or
+            its copy cannot be loaded.
     """
-    copy = path.with_name(f"{scenario_path(scenario_name).stem}_compensated.yaml")
+    scenario = scenario_path(scenario_name)
+    copy = path.with_name(f"{scenario.stem}_compensated.yaml")
     for file in (path, copy):
         if file.exists():
             raise InputError("this file exists already; choose another name", file=file)
@@ -107,22 +111,35 @@ def prepare_output(scenario_name: str, path: Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+    try:
+        write_whole(copy, _copy_of(scenario, path.parent, None))
+        load_scenario(str(copy))
+    finally:
+        copy.unlink(missing_ok=True)
     return copy
 
 
-def _copy_of(scenario: Path, folder: Path, compensation: str) -> str:
-    """Text of a scenario for a file in another folder, with the name of a compensation there.
+def _copy_of(scenario: Path, folder: Path, compensation: str | None) -> str:
+    """Text of a scenario for a file in another folder, with the name of a compensation there, or without one.
 
-    Paths of robot facts lead to the same files.
+    Paths of robot facts and of meshes lead to the same files.
     """
     content = read_edited(scenario)
-    for robot in content["robots"].values():
-        if isinstance(facts := robot["facts"], str) and facts.endswith((".yaml", ".yml")):
-            robot["facts"] = scalar(os.path.relpath(scenario.parent.resolve() / facts, folder.resolve()))
+    paths = [
+        (entry, key, entry[key])
+        for section, key in (("robots", "facts"), ("objects", "mesh"), ("neighbours", "mesh"))
+        for entry in (content.get(section) or {}).values()
+        if isinstance(entry.get(key), str) and (key == "mesh" or entry[key].endswith((".yaml", ".yml")))
+    ]
+    for entry, key, path in paths:
+        entry[key] = scalar(os.path.relpath(scenario.parent.resolve() / path, folder.resolve()))
     new = KEY not in content
-    content[KEY] = scalar(compensation)
-    if new:
-        separate(content, KEY)
+    if compensation is None:
+        content.pop(KEY, None)
+    else:
+        content[KEY] = scalar(compensation)
+        if new:
+            separate(content, KEY)
     return edited_text(content)
 
 

@@ -5,14 +5,16 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenarios.friction_compensation import FrictionCompensation
 from impact_rs_sim.scenarios.scenario import load_scenario, scenario_path
+from impact_rs_trials import friction_files
 from impact_rs_trials.campaign import make_manifest
-from impact_rs_trials.friction_files import identify, write_compensation
+from impact_rs_trials.friction_files import identify, prepare_output, write_compensation
 
 
 @pytest.fixture
@@ -65,6 +67,36 @@ def test_the_copy_in_another_folder_finds_the_robot_beside_the_scenario(brief: P
     copy = write_compensation(found_on(brief), str(brief), brief.parent / "new" / "friction.yaml")
     assert "facts: ../mine.yaml" in copy.read_text(encoding="utf-8")
     assert load_scenario(str(copy)).robots == load_scenario(str(brief)).robots
+
+
+def with_mesh(path: Path) -> None:
+    """Another scenario whose object is a cube from a mesh beside it."""
+    corners = [(x, y, z) for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-0.05, 0.05)]
+    faces = ["1 2 4", "1 4 3", "5 7 8", "5 8 6", "1 5 6", "1 6 2", "3 4 8", "3 8 7", "1 3 7", "1 7 5", "2 6 8", "2 8 4"]
+    lines = [*(f"v {x} {y} {z}" for x, y, z in corners), *(f"f {face}" for face in faces)]
+    path.with_name("box.obj").write_text("\n".join(lines), encoding="utf-8")
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    content["objects"] = {"box": {"label": "box", "mass": 0.5, "mesh": "box.obj"}}
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+
+
+def test_the_copy_in_another_folder_finds_the_mesh_beside_the_scenario(brief: Path) -> None:
+    """Kills: paths of robots alone; the copy did not load, and the identified compensation was removed with it."""
+    with_mesh(brief)
+    output = brief.parent / "new" / "friction.yaml"
+    assert prepare_output(str(brief), output).name == "brief_compensated.yaml"  # it loads the copy
+    assert list(output.parent.iterdir()) == []
+
+
+def test_a_copy_that_does_not_load_is_refused_before_the_identification(
+    brief: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kills: a check of the names of files alone, before an identification that takes minutes to hours."""
+    monkeypatch.setattr(friction_files, "_copy_of", lambda *_: "name: none")
+    output = brief.parent / "friction.yaml"
+    with pytest.raises(InputError, match="brief_compensated.yaml"):
+        prepare_output(str(brief), output)
+    assert [path.name for path in brief.parent.iterdir()] == ["brief.yaml"]
 
 
 def test_identifying_again_starts_from_the_uncompensated_plant(brief: Path) -> None:
