@@ -16,7 +16,8 @@ def measured_since(when: str, stamps: Mapping[str, float], timed: bool = True) -
 
     Args:
         when: Name of the first measurement, or a time: a date with or without a time of day (ISO 8601, local without a
-            zone), or a number of seconds on the clock of the stamps.
+            zone), or a number of seconds on the clock of the stamps. Where these are seconds since 1970, a number below
+            ``MIN_WALL_CLOCK_S`` is a date, ``20261126``.
         stamps: Times of the measurements [s], seconds since 1970 for dates, or any increasing number.
         timed: Whether the stamps are times; if not, ``when`` has to be a name.
 
@@ -25,7 +26,7 @@ def measured_since(when: str, stamps: Mapping[str, float], timed: bool = True) -
     """
     begin = stamps.get(when)
     if begin is None and timed:
-        begin = _time(when)
+        begin = _time(when, min(stamps.values()))
     if begin is None:
         last = max(stamps, key=lambda name: (stamps[name], name))
         times = ", or a time such as 2026-11-26T14:32" if timed else ""
@@ -41,10 +42,12 @@ def measured_since(when: str, stamps: Mapping[str, float], timed: bool = True) -
     return names
 
 
-def _time(text: str) -> float | None:
-    """Seconds since 1970, or since the origin of a table's time; None: not a time."""
+def _time(text: str, first: float) -> float | None:
+    """Seconds on the clock of the stamps, of which ``first`` is the first; None: not a time."""
     try:
-        return float(text)
+        seconds = float(text)
+        if seconds >= MIN_WALL_CLOCK_S or first < MIN_WALL_CLOCK_S:
+            return seconds
     except ValueError:
         pass
     try:

@@ -98,6 +98,15 @@ def test_a_name_or_a_time_is_a_moment(when: str, found: str) -> None:
     assert measured_since(when, RUNS) == {f"push/{letter}" for letter in found}
 
 
+def test_a_date_without_dashes_is_no_number_of_seconds() -> None:
+    """Kills: `float(text)` before `fromisoformat`, for which 20251127 was a day of 1970 and all runs were newer."""
+    day_later = {**RUNS, "push/e": NOON + 2 * 86400.0}
+    assert measured_since("20251127", day_later) == measured_since("2025-11-27", day_later) == {"push/e"}
+    with pytest.raises(InputError, match="or a time such as 2026-11-26T14:32"):
+        measured_since("2025", RUNS)
+    assert measured_since("20", {"row 1": 10.0, "row 2": 30.0}) == {"row 2"}  # seconds since a table's own origin
+
+
 def test_a_moment_without_measurements_is_named_with_what_there_is() -> None:
     with pytest.raises(InputError, match="did you mean 'push/a'"):
         measured_since("pushs/a", RUNS)
