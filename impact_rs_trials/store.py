@@ -400,11 +400,16 @@ def _locked(path: Path, contents: str) -> TextIO:
             raise InputError(f"cannot be written: {error.strerror}", file=path) from None
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             file.seek(0)
             owner = file.read().strip() or "another process"
             file.close()
             raise InputError(f"{owner} works on this {contents}; wait for it, or stop it", file=path.parent) from None
+        except OSError as error:
+            file.close()
+            raise InputError(
+                f"cannot be locked: {error.strerror}; choose a folder on a file system with locks", file=path
+            ) from None
         if os.fstat(file.fileno()).st_nlink:
             return file
         file.close()  # its owner removed it between our two calls

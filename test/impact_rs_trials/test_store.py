@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Places of campaigns: folders and URLs hold the same, and a folder has one owner at a time."""
 
+import errno
 import fcntl
 import os
 import subprocess
@@ -151,6 +152,20 @@ def test_a_lock_file_that_vanishes_while_we_wait_is_made_again(tmp_path: Path, m
     with owned(store):
         assert (tmp_path / LOCK).exists()
     assert len(calls) == 2
+
+
+def test_a_file_system_without_locks_is_no_other_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kills: `except OSError` around the lock, which told of another process that does not exist."""
+
+    def without_locks(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", without_locks)
+    with (
+        pytest.raises(InputError, match="cannot be locked: No locks available; choose a folder"),
+        owned(Folder(tmp_path)),
+    ):
+        pass
 
 
 def test_trials_are_found_in_a_campaign_and_below_a_folder(tmp_path: Path) -> None:

@@ -189,7 +189,9 @@ def _file_patterns(mapping: Mapping) -> set[str | None]:
 
 def _spread_below(folder: Path, mapping: Mapping) -> list[Path]:
     """Runs of :func:`_spread_runs` in a folder and its subfolders; each folder is a session."""
-    below = sorted((subfolder for subfolder in visible(folder, folder.rglob("*")) if subfolder.is_dir()), key=natural_key)
+    below = sorted(
+        (subfolder for subfolder in visible(folder, folder.rglob("*")) if subfolder.is_dir()), key=natural_key
+    )
     return [run for session in (folder, *below) for run in _spread_runs(session, mapping)]
 
 
