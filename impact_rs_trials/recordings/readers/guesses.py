@@ -365,7 +365,7 @@ def quaternion_order(quaternion: Array) -> Guess | None:
     tracked = quaternion[np.isfinite(quaternion).all(axis=1)]
     if not len(tracked) or not np.all(np.abs(np.linalg.norm(tracked, axis=1) - 1.0) < MAX_NORM_ERROR):
         return None
-    middle = np.abs(np.median(tracked, axis=0))
+    middle = np.median(np.abs(tracked), axis=0)  # q and -q are one orientation
     if middle[0] > 0.9 or middle[3] > 0.9:
         order = "xyzw" if middle[3] > middle[0] else "wxyz"
         word = "last" if order == "xyzw" else "first"

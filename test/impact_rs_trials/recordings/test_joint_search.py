@@ -17,7 +17,7 @@ from impact_rs_trials.recordings.importing.import_texts import PossibleReading
 from impact_rs_trials.recordings.importing.joint_search import Assignment, JointSearch
 from impact_rs_trials.recordings.importing.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import MountedEndEffector
-from impact_rs_trials.recordings.readers.guesses import holds_a_turn
+from impact_rs_trials.recordings.readers.guesses import holds_a_turn, quaternion_order
 from impact_rs_trials.recordings.readers.series import Series
 
 TIME = np.arange(0.0, 8.0, 0.01)
@@ -176,3 +176,12 @@ def test_a_command_without_noise_is_not_taken_for_the_motion_that_follows_it(ord
     assert [one.stream.series.label for one in found.torques] == [*torque]
     listed = {stem_of(one): one.behind for one in reversed(found.alternatives["position"])}
     assert 0.0 < listed["a"] - listed["c"] < 1e3  # both are shown, and the velocities do not decide
+
+
+@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
+def test_w_of_a_quaternion_is_found_where_its_sign_changes(order: str) -> None:
+    """Kills: the magnitude of the median, which is about 0 if a tracker jumps between q and -q."""
+    quaternion = np.tile([0.9999, 0.01, 0.005, 0.0][:: 1 if order == "wxyz" else -1], (200, 1))
+    quaternion[1::2] *= -1.0
+    guess = quaternion_order(quaternion)
+    assert guess is not None and (guess.value, guess.sure) == (order, True)
