@@ -143,7 +143,7 @@ class Store(ABC):
 
     @abstractmethod
     def adding(self, name: str) -> AbstractContextManager[Path]:
-        """A context manager with a folder in which to make the bag ``name``; the bag is stored if no error occurs."""
+        """A context manager with a folder in which to make the bag ``name``; a bag is stored if no error occurs."""
 
     @abstractmethod
     def getting(self, name: str) -> AbstractContextManager[Path]:
@@ -288,9 +288,10 @@ class Remote(Store):
         with tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch:
             yield Path(scratch)
             bag, target = Path(scratch) / name, f"{self._root}/{name}"
-            self._files.makedirs(target, exist_ok=True)
-            for file in sorted(bag.iterdir(), key=lambda file: file.name == BAG_METADATA):
-                self._files.put_file(str(file), f"{target}/{file.name}")
+            if bag.is_dir():  # an aborted trial may have none
+                self._files.makedirs(target, exist_ok=True)
+                for file in sorted(bag.iterdir(), key=lambda file: file.name == BAG_METADATA):
+                    self._files.put_file(str(file), f"{target}/{file.name}")
 
     @contextmanager
     def getting(self, name: str) -> Iterator[Path]:

@@ -94,6 +94,16 @@ def test_a_bag_that_was_uploaded_by_half_is_run_again(memory: str, manifest: Man
     assert open_store(memory).exists(name)
 
 
+def test_a_trial_at_a_url_that_is_aborted_without_a_bag_keeps_its_reason(memory: str, manifest: Manifest) -> None:
+    """Kills: the upload of a folder that is not there, whose error took the place of the reason."""
+
+    def aborted(_: Path, trial: Trial) -> TrialReport:
+        return TrialReport(trial.key, "ABORTED", "the controller node died")
+
+    assert {report.message for report in run_campaign(memory, manifest, run=aborted)} == {"the controller node died"}
+    assert open_store(memory).names() == set()
+
+
 def test_metadata_is_uploaded_last(memory: str, monkeypatch: pytest.MonkeyPatch, manifest: Manifest) -> None:
     store = open_store(memory)
     assert isinstance(store, Remote)
