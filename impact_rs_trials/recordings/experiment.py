@@ -164,8 +164,9 @@ class Experiment(Schema):
     )
     friction_noise: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         FRICTION_SIGMA_SHARE,
-        description="relative standard deviation of the support's friction [-]; velocities from sliding distances "
-        "have half",
+        description="relative standard deviation of the support's friction from hit to hit [-], which sliding "
+        "distances have; velocities from them have half. Without the error that all hits share: the effect "
+        "support_friction has it",
     )
     _file: Path | None = PrivateAttr(None)
 

@@ -79,7 +79,10 @@ class Impact:
 
     @property
     def distance_noise(self) -> float:
-        """Standard deviation of a slide distance D [m]: sigma_D = 2 D sigma_v / v, from v^2 = 2 mu g D."""
+        """Standard deviation of a slide distance D [m]: sigma_D = 2 D sigma_v / v, from v^2 = 2 mu g D.
+
+        It contains the friction of the support, which scatters from hit to hit (``friction_noise``).
+        """
         distance = self.outcomes[col.SLIDE_DISTANCE]
         return self.noise[0] * 2.0 * distance / max(float(np.linalg.norm(self.after[:3])), 1e-9)
 
