@@ -151,6 +151,8 @@ def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
         last = min(impacts.values()) - WINDOW_BEFORE_IMPACT_S
     before = time <= last
     moving = np.nonzero(before & (speed > MIN_MOVING_SPEED_SHARE * speed[before].max()))[0]
+    if not moving.size:
+        return []
     begin = max(float(time[moving[0]]), float(time[0]) + START_FIT_HALF_WIDTH_S)
     end = min(float(time[moving[-1]]), last)
     most = FREE_WINDOWS_WITH_IMPACT if impacts else FREE_WINDOWS_WITHOUT_IMPACT

@@ -18,7 +18,7 @@ from impact_rs_analysis.evidence.replays.ante_impact import (
     obliqueness_of,
     problem_of,
 )
-from impact_rs_analysis.evidence.replays.command_clock import command_offset, read_laboratory_runs
+from impact_rs_analysis.evidence.replays.command_clock import command_offset, measured_or_why_not, read_laboratory_runs
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs, read_runs, read_trial
 from impact_rs_analysis.evidence.replays.simulated_trials import simulated
 from impact_rs_analysis.evidence.sources.run_source import layout_of, pure_errors
@@ -69,6 +69,14 @@ def test_a_shift_brings_commands_to_where_they_act(free: Run) -> None:
     late = stamped(free, 0.0003)
     again = late.commands_later({"arm": command_offset([late], "arm")[0]})
     assert np.max(np.abs(again.signals.arms["arm"].command_time - free.signals.arms["arm"].command_time)) < 2e-4
+
+
+def test_a_run_at_rest_is_left_out_with_the_reason(free: Run) -> None:
+    """Kills: the first moving sample of a run in which no joint moves, an IndexError that lost the other runs."""
+    still = with_signals(free, lambda arm: replace(arm, velocity=np.zeros_like(arm.velocity)))
+    reason = "no joint moves for the length of a window of free motion"
+    assert measured_or_why_not(still) == (str(free.path), reason)
+    assert command_offset([still], "arm") == (0.0, 0.0)
 
 
 # ---- gaps -----------------------------------------------------------------------------------------------------------
