@@ -88,7 +88,7 @@ def _late(measured: Runs, runs: Sequence[Run], errors: Mapping[str, float], map_
     firsts = {condition: repeats[0] for condition, repeats in measured.conditions.items()}
     shifted = map_tasks(measured_or_why_not, [by_path[first.path].commands_later(errors) for first in firsts.values()])
     return {
-        condition: late.only(set(first.features))
+        condition: late.only(set(first.features)).aged(first.setup.windows[0].age)
         for (condition, first), late in zip(firsts.items(), shifted, strict=True)
         if isinstance(late, MeasuredRun) and set(first.features) <= set(late.features)
     }

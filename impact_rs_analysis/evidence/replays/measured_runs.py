@@ -296,6 +296,11 @@ class MeasuredRun(Run):
             measured=self.measured[rows],
         )
 
+    def aged(self, age: float) -> MeasuredRun:
+        """The run with another time since the first run [s]."""
+        windows = tuple(replace(window, age=age) for window in self.setup.windows)
+        return replace(self, setup=replace(self.setup, windows=windows))
+
 
 def _within(signals: Signals, window: Window) -> Signals:
     """Signals in a window."""
@@ -420,13 +425,7 @@ def _with_ages(runs: list[MeasuredRun]) -> list[MeasuredRun]:
     first = min(min(recorded) for recorded in times.values())
     if any(np.isnan(recorded).any() for recorded in times.values()):
         return runs
-    ages = {condition: float(np.mean(recorded)) - first for condition, recorded in times.items()}
-
-    def aged(run: MeasuredRun) -> MeasuredRun:
-        windows = tuple(replace(window, age=ages[run.condition]) for window in run.setup.windows)
-        return replace(run, setup=replace(run.setup, windows=windows))
-
-    return [aged(run) for run in runs]
+    return [run.aged(float(np.mean(times[run.condition])) - first) for run in runs]
 
 
 def _with_equal_windows(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:

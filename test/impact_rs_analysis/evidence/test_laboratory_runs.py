@@ -12,13 +12,19 @@ import numpy as np
 import pytest
 from mixed_grab import write_experiment
 
+from impact_rs_analysis.evidence.replays import command_clock
 from impact_rs_analysis.evidence.replays.ante_impact import (
     ante_impact_state,
     obliqueness,
     obliqueness_of,
     problem_of,
 )
-from impact_rs_analysis.evidence.replays.command_clock import command_offset, measured_or_why_not, read_laboratory_runs
+from impact_rs_analysis.evidence.replays.command_clock import (
+    command_offset,
+    measured_or_why_not,
+    read_laboratory_runs,
+    read_runs_of_scenes,
+)
 from impact_rs_analysis.evidence.replays.measured_runs import MeasuredRun, Runs, read_runs, read_trial
 from impact_rs_analysis.evidence.replays.simulated_trials import simulated
 from impact_rs_analysis.evidence.sources.run_source import layout_of, pure_errors
@@ -77,6 +83,18 @@ def test_a_run_at_rest_is_left_out_with_the_reason(free: Run) -> None:
     reason = "no joint moves for the length of a window of free motion"
     assert measured_or_why_not(still) == (str(free.path), reason)
     assert command_offset([still], "arm") == (0.0, 0.0)
+
+
+def test_runs_with_a_later_clock_have_the_age_of_their_condition(free: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kills: late runs of age 0, whose difference to the residuals of the condition contains drift times age."""
+    hours = {
+        name: replace(free, condition=name, path=Path(name), recorded=1.7e9 + 3600.0 * n) for n, name in enumerate("ab")
+    }
+    monkeypatch.setattr(command_clock, "read_laboratory", lambda *_: (list(hours.values()), []))
+    runs = read_runs_of_scenes(Path("here"), [None], map)
+    ages = {run.condition: {window.age for window in run.setup.windows} for run in runs.runs}
+    assert ages == {"a": {0.0}, "b": {3600.0}}
+    assert {name: {window.age for window in run.setup.windows} for name, run in runs.late.items()} == ages
 
 
 # ---- gaps -----------------------------------------------------------------------------------------------------------
