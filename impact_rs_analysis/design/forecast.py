@@ -205,17 +205,20 @@ def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
         measured_run = MeasuredRun.of(run)
     except InputError as error:  # out of reach, or no contact
         return name, str(error)
-    force = max(
-        (
-            abs(value)
-            for feature, value in zip(measured_run.features, measured_run.measured, strict=True)
-            if feature.phase == "impact" and feature.unit == "N"
-        ),
-        default=0.0,
-    )
+    force = largest_force(measured_run)
     if task.envelope.force is not None and force > task.envelope.force:
         return name, f"contact force {force:.0f} N, limit {task.envelope.force:g} N"
     return measured_run
+
+
+def largest_force(run: MeasuredRun) -> float:
+    """Largest contact force of any arm at an impact, in the mean over a time bin [N]."""
+    components = [
+        value
+        for feature, value in zip(run.features, run.measured, strict=True)
+        if (feature.phase, feature.signal) == ("impact", "contact force")
+    ]
+    return float(np.linalg.norm(np.reshape(components, (-1, 3)), axis=1).max(initial=0.0))
 
 
 def _noisy(simulated: Sequence[MeasuredRun], repeated: Sequence[MeasuredRun]) -> list[TrialSpec]:

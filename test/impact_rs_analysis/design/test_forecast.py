@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trials simulated on the twin, and what a plan makes of them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from impact_rs_analysis.design.design import missing_effect, planned
 from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.explanations import Decision, Explanation, estimated, which_effect
-from impact_rs_analysis.design.forecast import Forecast, forecast_of
+from impact_rs_analysis.design.forecast import Forecast, forecast_of, largest_force
 from impact_rs_analysis.design.possible_trials import Envelope, PossibleTrial, possible_trials
 from impact_rs_analysis.evidence.replays.measured_runs import read_runs
 from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
@@ -75,6 +76,16 @@ def test_a_speed_beyond_the_joints_and_a_force_beyond_the_cell_are_refused() -> 
         forecast_of(load_model("nominal"), fast[:1], ReplayCache(map))
     with pytest.raises(InputError, match="contact force .* limit 1 N"):
         forecast_of(load_model("nominal"), some(("push/juice/case_2",)), ReplayCache(map), Envelope(force=1.0))
+
+
+def test_the_largest_force_is_the_size_of_the_vector(forecast: Forecast) -> None:
+    """Kills: the largest Cartesian component, below the force of an oblique hit by up to a factor of sqrt(3)."""
+    runs = {run.condition: run for run in forecast.source.runs.runs}
+    hit, free = runs["push/juice/case_2"], runs["excite/none/fast"]
+    force = {("x", 1): 3.0, ("y", 1): -4.0, ("z", 1): 12.0, ("x", 2): 12.5}
+    found = [force.get((f.index, f.bin), 1.0) * (f.signal == "contact force") for f in hit.features]
+    assert largest_force(replace(hit, measured=np.array(found))) == pytest.approx(13.0)
+    assert largest_force(free) == 0.0
 
 
 def test_a_heavier_object_shows_in_pushes_alone_and_leaves_less_speed(forecast: Forecast) -> None:
