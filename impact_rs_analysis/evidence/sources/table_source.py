@@ -369,6 +369,8 @@ class ImpactTableSource(Source):
             values = [row.circumstances[name] for row in self.table.rows]
             for level in dict.fromkeys(value for value in values if isinstance(value, str)):
                 chosen |= evenly([n for n, value in enumerate(values) if value == level], SEARCHED_ROWS_OF_LEVEL)
+        if len(chosen) == len(self.table.rows):
+            return self
         subsample = self._of(self.table.part(sorted(chosen)), remarks=False)
         subsample.remarks, subsample.folds = self.remarks, FOLDS_OF_LARGE_TABLE
         return subsample

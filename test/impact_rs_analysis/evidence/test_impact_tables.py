@@ -412,6 +412,16 @@ def test_a_large_table_is_searched_in_part_and_checked_on_the_rest(
     assert said.startswith("48 of 240 rows were searched") and "On the 192 others the error falls from" in said
 
 
+def test_a_search_of_all_rows_is_that_of_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kills: a sample that holds the whole table, with fewer folds, and the mean error of no other rows (nan)."""
+    monkeypatch.setattr(impact_tables, "MAX_SEARCHED_ROWS_OF_BODIES", 30)
+    rows = [[*row, f"day {number // 12}"] for number, row in enumerate(cube_rows(cube(), 36))]
+    path = write_csv(tmp_path / "cubes.csv", [*CUBE_HEADER, "session []"], rows)
+    source = ImpactTableSource(read_impact_table(path, covariates=["session"]), NOMINAL, remarks=False)
+    assert source.searched() is source
+    assert source.unseen(source.searched(), ()) == ()
+
+
 def test_workers_find_what_one_process_finds(tmp_path: Path) -> None:
     """Sources travel to other processes without what belongs to this one."""
     table = read_impact_table(write_csv(tmp_path / "cubes.csv", CUBE_HEADER, cube_rows(cube(0.2, 0.3), 36)))
