@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -12,10 +13,12 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, JOINT_SYMBOL, SYMBOLS, Formula
 from impact_rs_sim.robots.robot import Array
+from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import AXES
-from impact_rs_trials.runs import Run
+from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 Range = tuple[float, float]
+Symbols = dict[str, Array]  # values of symbols, (k,) each
 
 SAMPLES_PER_RUN = 100  # at which forward kinematics are computed
 RANGE_MARGIN_SHARE = 0.02  # of a range; a smaller excess is not reported
@@ -34,11 +37,12 @@ def measured_ranges(
     """
     values_of: dict[str, list[Array]] = {}
     formulas = [_formula(text) for text in quantities if text not in SYMBOLS]
-    at_impacts = [source.contact_speeds] if source.contact_speeds else []
-    for signals in (*at_impacts, *(dict(_signals(run, after)) for run in _runs(source))):
-        for name, values in signals.items():
-            values_of.setdefault(name, []).append(values)
-        for formula in formulas:
+    at_impacts: tuple[Symbols, list[Symbols]] = (source.contact_speeds, [{}])
+    for shared, arms in (at_impacts, *(_signals(run, after) for run in _runs(source))):
+        for symbols in (shared, *arms):
+            for name, values in symbols.items():
+                values_of.setdefault(name, []).append(values)
+        for formula, signals in itertools.product(formulas, [{**shared, **symbols} for symbols in arms]):
             sizes = {signals[name].size for name in formula.names if name in signals}
             if formula.names <= signals.keys() and len(sizes) == 1 and not formula.remembers:
                 values_of.setdefault(formula.text, []).append(np.asarray(formula(signals)))
@@ -74,34 +78,45 @@ def _runs(source: Source) -> Sequence[Run]:
     return source.recordings if isinstance(source, RecordingSource) else ()
 
 
-def _signals(run: Run, after: float) -> Iterator[tuple[str, Array]]:
-    """Symbols with their values along a run, ``(k,)`` each."""
+def _signals(run: Run, after: float) -> tuple[Symbols, list[Symbols]]:
+    """Symbols along a run: those of time and object, and those of every arm."""
     impacts = getattr(run, "impacts", {})
     end = min(impacts.values()) + after if impacts else np.inf
-    signals = run.signals
-    rows = np.flatnonzero(signals.time <= end)
-    rows = rows[:: max(1, rows.size // SAMPLES_PER_RUN)]
-    yield "t", signals.time[rows]
-    for name, arm in signals.arms.items():
-        for symbol, values in (("q", arm.position), ("dq", arm.velocity), ("tau", arm.torque)):
-            for joint, column in enumerate(values[rows].T if values.size else (), start=1):
-                yield f"{symbol}{joint}", column
-        model = run.physics.robot_model(name)
-        pairs = list(zip(arm.position[rows], arm.velocity[rows], strict=True))
-        positions = np.array([model.placement(q).translation for q, _ in pairs])
-        speeds = np.array([model.jacobian(q)[:3] @ dq for q, dq in pairs])
-        for axis, position, speed in zip(AXES, positions.T, speeds.T, strict=True):
-            yield axis, position
-            yield f"v{axis}", speed
-        yield "speed", np.linalg.norm(speeds, axis=1)
-    tracked = signals.object_time <= end
-    if np.count_nonzero(tracked) < 3 or not impacts:
-        return
-    velocity = np.gradient(signals.object_position[tracked], signals.object_time[tracked], axis=0)
-    for axis, position, speed in zip(AXES, signals.object_position[tracked].T, velocity.T, strict=True):
-        yield f"object_{axis}", position
-        yield f"object_v{axis}", speed
-    size = np.linalg.norm(velocity, axis=1)
-    yield "object_speed", size
-    yield "support_slip", size
-    yield "since_contact", np.array([0.0, min(after, float(signals.time[-1]) - min(impacts.values()))])
+    count = np.count_nonzero(run.signals.time <= end)
+    rows = slice(0, count, max(1, count // SAMPLES_PER_RUN))
+    shared = {"t": run.signals.time[rows]}
+    if impacts:
+        shared |= _object_signals(run.signals, min(impacts.values()), after)
+    return shared, [_arm_signals(arm.at(rows), run.physics.robot_model(name)) for name, arm in run.signals.arms.items()]
+
+
+def _arm_signals(arm: ArmSignals, model: RobotModel) -> Symbols:
+    """Symbols of an arm."""
+    symbols = {
+        f"{symbol}{joint}": column
+        for symbol, values in (("q", arm.position), ("dq", arm.velocity), ("tau", arm.torque))
+        for joint, column in enumerate(values.T if values.size else (), start=1)
+    }
+    pairs = list(zip(arm.position, arm.velocity, strict=True))
+    positions = np.array([model.placement(q).translation for q, _ in pairs])
+    speeds = np.array([model.jacobian(q)[:3] @ dq for q, dq in pairs])
+    symbols.update(zip(AXES, positions.T, strict=True))
+    symbols.update(zip((f"v{axis}" for axis in AXES), speeds.T, strict=True))
+    return {**symbols, "speed": np.linalg.norm(speeds, axis=1)}
+
+
+def _object_signals(signals: Signals, impact: float, after: float) -> Symbols:
+    """Symbols of the object and its contact; empty without tracking."""
+    tracked = signals.object_time <= impact + after
+    if np.count_nonzero(tracked) < 3:
+        return {}
+    position = signals.object_position[tracked]
+    velocity = np.gradient(position, signals.object_time[tracked], axis=0)
+    speed = np.linalg.norm(velocity, axis=1)
+    return {
+        **{f"object_{axis}": column for axis, column in zip(AXES, position.T, strict=True)},
+        **{f"object_v{axis}": column for axis, column in zip(AXES, velocity.T, strict=True)},
+        "object_speed": speed,
+        "support_slip": speed,
+        "since_contact": np.array([0.0, min(after, float(signals.time[-1]) - impact)]),
+    }
