@@ -38,13 +38,18 @@ def conditions(table: ImpactTable) -> list[RowGroup] | None:
     Args:
         table: The table.
     """
-    grouped: dict[tuple[str, bool], list[int]] = {}  # a condition may be called "row 4"
+    named = {row.condition for row in table.rows}
+    grouped: dict[str, list[int]] = {}
     for number, row in enumerate(table.rows):
-        name = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else f"row {row.number}"
-        grouped.setdefault((name, bool(row.condition)), []).append(number)
+        name = f"row {row.number}"
+        if row.condition:
+            name = ", ".join(filter(None, (row.object_name, row.condition)))
+        elif name in named:  # a condition may be called "row 4"
+            name = f"{name} without a condition"
+        grouped.setdefault(name, []).append(number)
     parts = [
         RowGroup(", ".join([name, *labels]), name, tuple(rows))
-        for (name, _), whole in grouped.items()
+        for name, whole in grouped.items()
         for labels, rows in _by_circumstances(table, whole)
     ]
     freedom = sum(len(part.rows) - 1 for part in parts)

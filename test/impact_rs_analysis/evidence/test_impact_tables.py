@@ -232,6 +232,20 @@ def test_conditions_are_three_with_three_repeats_in_all_or_else_rows_stand_in_bl
     assert len(source.clusters) == (conditions or sum(counts))
 
 
+def test_a_condition_called_like_a_row_is_not_that_row(tmp_path: Path) -> None:
+    """Kills: two clusters called "row 4", and the condition got the residuals of the row."""
+    labels = ["row 4"] * 3 + [""] + ["b"] * 3 + ["c"] * 3
+    rows = [[*row, label] for row, label in zip(cube_rows(cube(), 10), labels, strict=True)]
+    table = read_impact_table(write_csv(tmp_path / "cubes.csv", [*CUBE_HEADER, "condition"], rows))
+    source = ImpactTableSource(table, NOMINAL, remarks=False)
+    units, keys = ({getattr(item, name) for item in source.clusters} for name in ("unit", "condition_key"))
+    assert len(units) == len(keys) == 4
+    again = source.residuals_with((), source.clusters)
+    assert again is not None
+    for item, found in zip(source.clusters, again, strict=True):
+        np.testing.assert_allclose(found.residuals, item.residuals)
+
+
 @pytest.mark.parametrize(("repeats", "parts"), [(3, 6), (4, 12)])
 def test_halves_of_a_number_are_conditions_of_their_own_where_both_have_two_rows(
     tmp_path: Path, repeats: int, parts: int
