@@ -183,19 +183,13 @@ def check_model(model: Model, file: str | Path) -> Model:
         known_effects = model.known_effects
     except InputError as error:
         raise error.in_file(file) from None
+    _check_repeated(model, file)
     joints: tuple[str, int] | None = None
     for index, item in enumerate(model.effects):
         key = f"effects.{index}"
         if item.name not in known_effects:
             raise InputError(
                 f"unknown effect; known effects: {', '.join(sorted(known_effects))}",
-                file=file,
-                key=f"{key}.name",
-                value=item.name,
-            )
-        if item.name in {earlier.name for earlier in model.effects[:index]}:
-            raise InputError(
-                "this effect stands here twice, and would act twice; remove one",
                 file=file,
                 key=f"{key}.name",
                 value=item.name,
@@ -242,6 +236,19 @@ def check_model(model: Model, file: str | Path) -> Model:
                     key=f"{key}.parameters",
                 )
     return model
+
+
+def _check_repeated(model: Model, file: str | Path) -> None:
+    """Refuse an effect that stands in a model twice."""
+    names = [item.name for item in model.effects]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise InputError(
+                "this effect stands here twice, and would act twice; remove one",
+                file=file,
+                key=f"effects.{index}.name",
+                value=name,
+            )
 
 
 def load_model(path: str | Path) -> Model:
