@@ -53,14 +53,13 @@ def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
     within = sum(float(np.sum(np.square(rank - rank.mean()))) for rank in ranks)
     if within == 0.0:  # timestamps too coarse to order any repeats
         return None
-    groups = list(dict.fromkeys(feature.group for item in clusters for feature in item.features))
+    repeated = [number for number, item in enumerate(clusters) if item.count > 1]
+    groups = list(dict.fromkeys(feature.group for number in repeated for feature in clusters[number].features))
     correlation = np.zeros((1 + NULL_DRAWS, len(groups)))
     changes: dict[tuple[str, str, str], list[tuple[Feature, float]]] = {}
     rng = np.random.default_rng(0)
-    for layout in dict.fromkeys(item.layout for item in clusters):
-        chosen = [number for number, item in enumerate(clusters) if item.layout == layout and item.count > 1]
-        if not chosen:
-            continue
+    for layout in dict.fromkeys(clusters[number].layout for number in repeated):
+        chosen = [number for number in repeated if clusters[number].layout == layout]
         features = clusters[chosen[0]].features
         centred_ranks = _centred([ranks[number] for number in chosen])
         rows = _centred([clusters[number].residuals * clusters[number].sigma for number in chosen])

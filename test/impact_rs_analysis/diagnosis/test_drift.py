@@ -70,6 +70,19 @@ def test_what_a_model_lacks_is_no_drift() -> None:
     assert found is not None and before is not None and found.p_value == before.p_value
 
 
+def test_signals_of_unrepeated_conditions_take_no_part() -> None:
+    """Kills: groups of features from all clusters, where a signal without repeats has the largest correlation, 0."""
+    for seed in range(20):
+        clusters = campaign(seed, RANDOM)
+        other = tuple(replace(feature, signal="deflection") for feature in clusters[0].features)
+        single = replace(
+            clusters[0], layout="push", features=other, residuals=clusters[0].residuals[:1], timestamps=np.array([2e9])
+        )
+        found, before = drift_of([*clusters, single]), drift_of(clusters)
+        assert found is not None and before is not None
+        assert (found.signal, found.p_value) == (before.signal, before.p_value)
+
+
 @pytest.mark.parametrize("stamps", [[None] * 6, [np.zeros(3)] * 6])
 def test_where_the_order_is_unknown_nothing_is_said(stamps: Sequence[np.ndarray | None]) -> None:
     clusters = [replace(item, timestamps=own) for item, own in zip(campaign(0, RANDOM), stamps, strict=True)]
