@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import combinations
 from types import MappingProxyType
 
@@ -233,10 +233,13 @@ class Search:
         measurable = [name for name in names if name in self.screening.singles]
         if not measurable:
             return None
-        joined = reduce(
-            Candidate.joined_with, (self.screening.best_shape(self.screening.singles[name]) for name in measurable)
-        )
-        fit = restart_from_afar(gauss_newton(self._refined(joined, self.evidence)))
+        self.screening.find_shapes(measurable)
+        linear: Fit | None = None
+        for name in measurable:
+            start = self.screening.best_start(name, linear)
+            linear = Fit.of(start if linear is None else linear.candidate.joined_with(start), self.evidence)
+        assert linear is not None
+        fit = restart_from_afar(gauss_newton(self._refined(linear.candidate, self.evidence)))
         if len(measurable) == len(names):
             return fit
         self.screening.add_visible_with(fit)
@@ -348,14 +351,16 @@ class Search:
         """The chosen effects except one, at their estimates, with unchanged sensitivities."""
         return replace(chosen.candidate, point=chosen.estimate).without(name)
 
-    def joint_alternatives(self, chosen: Candidate, index: int) -> list[tuple[str, Candidate]]:
+    def joint_alternatives(self, fitted: Fit, index: int) -> list[tuple[str, Candidate]]:
         """Rivals at one joint: its parameter is replaced by the parameters of another effect at the same joint."""
-        scalar = chosen.scalars[index]
+        chosen, scalar = fitted.candidate, fitted.candidate.scalars[index]
+        others = chosen.fixed(index)
         alternatives = []
         for name in self.screening.singles:
             if name in chosen.names or name in self.screening.ruled_out:
                 continue
-            single = self.screening.start(name)
+            starts = self.screening.starts(name)
+            single = starts[0]
             at_joint = [
                 number
                 for number, parameter in enumerate(single.scalars)
@@ -363,7 +368,8 @@ class Search:
             ]
             elsewhere = [number for number in range(single.point.size) if number not in at_joint]
             if at_joint and len(at_joint) < single.point.size:
-                alternatives.append((name, chosen.fixed(index).joined_with(single.fixed(*elsewhere))))
+                replaced = [others.joined_with(start.fixed(*elsewhere)) for start in starts]
+                alternatives.append((name, min(replaced, key=lambda entry: Fit.of(entry, fitted.evidence).misfit)))
         return alternatives
 
     def exchange(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
@@ -403,7 +409,7 @@ class Search:
         effect = next(item for item in chosen.candidate.effects if item.name == name)
         if self.source.recording is None or effect.acts_on != LINK_ERRORS.acts_on or not effect.may_change:
             return False
-        swapped = None if self._links is None else self._exchanged(chosen, name, self._links)
+        swapped = None if self._links is None else self._exchanged(chosen, name, [self._links])
         return swapped is not None and tied(chosen, swapped)
 
     @cached_property
@@ -411,11 +417,13 @@ class Search:
         """Errors of the links, linearised; None if they cannot be simulated."""
         return self.screening.linearised(Candidate.of((LINK_ERRORS,), self.source))
 
-    def _exchanged(self, chosen: Fit, name: str, start: Candidate) -> Fit | None:
-        """Linear fit of another effect in the place of a chosen one; None if it cannot be simulated."""
-        swapped = self._remaining_effects(chosen, name).joined_with(start)
-        evaluated = evaluate_at(swapped, swapped.point, chosen.evidence)
-        return None if evaluated is None else Fit.of(evaluated, chosen.evidence)
+    def _exchanged(self, chosen: Fit, name: str, starts: Sequence[Candidate]) -> Fit | None:
+        """Best linear fit of another effect in the place of a chosen one; None if it cannot be simulated."""
+        others = self._remaining_effects(chosen, name)
+        swapped = [others.joined_with(start) for start in starts]
+        evaluated = [evaluate_at(candidate, candidate.point, chosen.evidence) for candidate in swapped]
+        fits = [Fit.of(candidate, chosen.evidence) for candidate in evaluated if candidate is not None]
+        return min(fits, key=lambda entry: entry.misfit, default=None)
 
     def rivals(self, chosen: Fit, count: int = 3, max_score_ratio: float = MAX_ERROR_RATIO) -> list[Rival]:
         """Alternatives to every chosen effect, fitted together with the other chosen effects.
@@ -432,7 +440,7 @@ class Search:
                 for other in self.screening.singles
                 if other not in chosen.candidate.names
                 and other not in self.screening.ruled_out
-                and (swapped := self._exchanged(chosen, name, self.screening.start(other))) is not None
+                and (swapped := self._exchanged(chosen, name, self.screening.starts(other))) is not None
             ]
             if self.source.recording is not None:  # predictions are cheap
                 proposals = self.screening.with_shapes(proposals)

@@ -48,7 +48,7 @@ class Screening:
         self.ruled_out: set[str] = set()
         self.not_simulated: set[str] = set()
         self._starts_tried = Counter(effect.name for effect in effects)
-        self._starts: dict[str, Candidate] = {}
+        self._starts: dict[str, list[Candidate]] = {}
         self._insensitive: dict[str, Candidate] = {}
         self._insensitive_alone: dict[str, Candidate] = {}  # visible in the presence of chosen effects
         self._given_chosen: dict[tuple[str, Added], Candidate] = {}
@@ -208,20 +208,21 @@ class Screening:
                 if previous is None or self._misfit(extended) < self._misfit(previous):
                     self.singles[candidate.names[0]] = extended
 
-    def start(self, name: str) -> Candidate:
-        """Start of the fit of a single effect."""
-        return self._starts.get(name, self.singles[name])
+    def starts(self, name: str) -> list[Candidate]:
+        """Possible starts of the fit of an effect; several for effects of :meth:`find_shapes`."""
+        return self._starts.get(name, [self.singles[name]])
 
     def find_shapes(self, names: Iterable[str]) -> None:
-        """Set the starts of the fits of some effects to the best grid points of their shapes."""
-        self._starts |= {name: self.best_shape(self.singles[name]) for name in names if name not in self._starts}
+        """Linearise some effects at the grid points of their shapes, as further starts of their fits."""
+        self._starts |= {name: self._linearised_at_shapes(name) for name in names if name not in self._starts}
 
-    def best_shape(self, candidate: Candidate) -> Candidate:
-        """The candidate at the best grid point of its shape parameters, by the misfit of the linear fit.
+    def _linearised_at_shapes(self, name: str) -> list[Candidate]:
+        """An effect at its start, and at the grid points of its shape parameters.
 
         A shape without sensitivity at nominal, such as the centre of a payload of mass 0, is linearised again at the
         fit of the other parameters. In recordings only: their torque is linear in mass and first moment.
         """
+        candidate = self.singles[name]
         shapes = [index for index, scalar in enumerate(candidate.scalars) if scalar.grid]
         candidates = [candidate]
         for values in product(*(candidate.scalars[index].grid for index in shapes)) if shapes else ():
@@ -233,7 +234,21 @@ class Screening:
             point = Fit.of(candidate, self.evidence).estimate
             if (linearised := self.linearised(replace(candidate, point=point))) is not None:
                 candidates.append(linearised)
-        return min(candidates, key=lambda entry: Fit.of(entry, self.evidence).misfit)
+        return candidates
+
+    def best_start(self, name: str, chosen: Fit | None) -> Candidate:
+        """The start of an effect with the lowest misfit of the linear fit with the chosen effects.
+
+        The best shape depends on the other effects: alone, friction that fades at high speed imitates Coulomb friction.
+        """
+
+        def misfit(start: Candidate) -> float:
+            if chosen is None:
+                return Fit.of(start, self.evidence).misfit
+            return Fit.of(chosen.candidate.joined_with(start), chosen.evidence).misfit
+
+        starts = self.starts(name)
+        return starts[0] if len(starts) == 1 else min(starts, key=misfit)
 
     def p_values(self, chosen: Fit | None) -> dict[str, float]:
         """Adjusted p-value of each effect given the chosen effects, and of each law at all joints (:meth:`groups`)."""
@@ -263,8 +278,8 @@ class Screening:
         return singles + ["+".join(members) for family, members in families.items() if family and len(members) > 1]
 
     def joined(self, group: str, chosen: Fit | None) -> Candidate:
-        """A group at the starts of its fits, in the presence of the chosen effects."""
-        starts = [self.start(name) for name in group.split("+")]
+        """A group at the best starts of its fits, in the presence of the chosen effects."""
+        starts = [self.best_start(name, chosen) for name in group.split("+")]
         return reduce(
             Candidate.joined_with,
             (s if has_shape_parameter(s) else self.with_sensitivities_given(s, chosen) for s in starts),

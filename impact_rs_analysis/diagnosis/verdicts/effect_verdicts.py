@@ -298,7 +298,7 @@ def _joint(findings: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdic
     if not _of_joint(evidence, residuals, scalar.arm, joint, changed).size:  # nothing of the joint was measured
         return UNIDENTIFIABLE, 1.0, None, None
     rivals = []
-    for name, alternative in findings.search.joint_alternatives(candidate, index):
+    for name, alternative in findings.search.joint_alternatives(fitted, index):
         changed_by_either = changed_features(candidate, alternative)
         rival_residuals = evidence.problem(alternative).leave_one_out_residuals
         errors, of_rival = (

@@ -829,3 +829,55 @@ def test_one_effect_takes_the_place_of_two_that_imitate_it() -> None:
     chosen, _ = search.exchange(two)
     assert chosen.candidate.names == ("straight_and_askew",)
     assert chosen.estimate[0] == pytest.approx(6.0, abs=0.3)
+
+
+FADING_QUICKLY = (("constant", (5.0,)), ("straight", (4.0,)), ("fading", (3.0, 10.0)))
+
+
+def with_shapes_of_fading(*chosen: str) -> tuple[Search, Fit]:
+    """A search with the grid points of the fading effect, and the linear fit of some other effects."""
+    search = searched(AnalyticSource(1, FADING_QUICKLY), "constant", "straight", "fading")
+    search.screening.find_shapes(["fading"])
+    fitted = functools.reduce(search.screening.linear_fit_with, chosen, None)
+    assert fitted is not None
+    return search, fitted
+
+
+def test_the_start_of_a_shape_is_the_best_beside_the_chosen_effects() -> None:
+    """Alone the fading effect imitates the constant one. Kills: one start of a shape, the best alone, for all steps."""
+    search, constant = with_shapes_of_fading("constant")
+    assert search.screening.linear_fit_with(None, "fading").candidate.point[1] < 1.0
+    beside = search.screening.linear_fit_with(constant, "fading").candidate
+    assert beside.names == ("constant", "fading") and beside.point[2] == 10.0
+
+
+def test_the_start_of_a_shape_is_the_best_in_the_place_of_a_chosen_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kills: a rival that starts at the shape that is the best alone."""
+    search, chosen = with_shapes_of_fading("constant", "straight")
+    monkeypatch.setattr(search_module, "gauss_newton", lambda fitted: fitted)
+    monkeypatch.setattr(search, "_refined", lambda start, evidence, _: Fit.of(start, evidence))
+    [rival] = [rival for rival in search.rivals(chosen, max_score_ratio=np.inf) if rival.instead_of == "straight"]
+    assert rival.fit.candidate.names == ("constant", "fading") and rival.fit.candidate.point[2] == 10.0
+
+
+def test_effects_fitted_together_start_at_the_best_shape_beside_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kills: starts of a joint fit that are the best alone."""
+    search, _ = with_shapes_of_fading("constant")
+    starts = []
+    monkeypatch.setattr(search, "_refined", lambda start, evidence: starts.append(start) or Fit.of(start, evidence))
+    search.fitted(("constant", "fading"))
+    assert starts[0].point[2] == 10.0
+
+
+def test_a_linear_step_keeps_a_shape_between_the_neighbours_of_its_grid_value() -> None:
+    """Kills: a step to the bound, 25, which the sensitivity far below the best rate would take."""
+    source = AnalyticSource(1, (("fading", (5.0, 10.0)),))
+    effect_, evidence = EFFECTS["fading"], Evidence.of(source)
+    for rate, lowest, highest in ((0.1, 0.01, 1.0), (0.9, 0.1, 10.0), (1.0, 0.1, 10.0), (20.0, 1.0, 50.0)):
+        start = linearise(
+            Candidate.of((effect_,), source, np.array([1.0, rate])), evidence.clusters, evidence.numbers, source
+        )
+        assert start is not None
+        low, high = start.linear_range
+        assert (low[1], high[1]) == (lowest, highest)
+        assert lowest - 1e-6 <= Fit.of(start, evidence).estimate[1] <= highest + 1e-6
