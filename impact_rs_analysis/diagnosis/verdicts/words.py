@@ -47,7 +47,7 @@ def not_tried(budget: BudgetDocument) -> str:
     steps = ", ".join(budget.left_out)
     if budget.stopped:
         return f"not tried, because the search was stopped: {steps}. The verdict is the best answer until then"
-    spent = f"the processor time of {budget.limit:.3g} s was spent"
+    spent = f"the processor time of {budget.limit:{'.0f' if budget.limit >= 1000.0 else '.3g'}} s was spent"
     return f"not tried, because {spent}: {steps}. A larger --budget tries them"
 
 
@@ -438,11 +438,14 @@ def _largest_change(document: DiagnosisDocument) -> str:
 
 
 def _largest_residuals(document: DiagnosisDocument) -> str:
-    """Largest residuals, in the units of the signals."""
+    """Largest residuals, in the units of the signals; of recordings the one that exceeds its noise most."""
     relevant = [entry for entry in document.unexplained.where if entry.value > max(entry.floor, 1e-12)]
     if document.error_unit != TIMES and document.joints:
-        worst = max(document.joints, key=lambda joint: joint.after, default=None)
-        return "" if worst is None else f"Largest residual: {worst.after:.2g} {worst.unit}, in {worst.joint}."
+        worst = max(relevant, key=lambda entry: entry.times_noise, default=None)
+        if worst is None:
+            return "No residual exceeds its noise." if document.unexplained.where else ""
+        where = f"{worst.signal} {worst.index} ({worst.phase})"
+        return f"Largest residual: {worst.value:.2g} {worst.unit} of the {where}, {worst.times_noise:.2g} times noise."
     if not relevant:
         return "All residuals are below their relevance limits."
     residuals = "; ".join(f"{e.value:.2g} {e.unit} of the {e.signal} {e.index} ({e.phase})" for e in relevant[:2])

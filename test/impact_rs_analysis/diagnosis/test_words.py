@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import (
+    BudgetDocument,
     DiagnosisDocument,
     EffectDocument,
     EstimateDocument,
+    JointError,
     ModelIdentity,
     ResidualDocument,
     RunsIdentity,
@@ -34,7 +36,7 @@ from impact_rs_analysis.diagnosis.verdict import (
     DiagnosisVerdict,
     Kind,
 )
-from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, remaining, shown_unnamed, summary_of
+from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, not_tried, remaining, shown_unnamed, summary_of
 from impact_rs_analysis.evidence.cluster import TIMES, Added
 
 NAMES = ("friction", "offset", "restitution", "payload")
@@ -258,3 +260,46 @@ def test_at_least_one_more_effect_is_not_missing_beside_100_percent(after: float
     update = partly | {"held_out_error_before": 25.9, "held_out_error_after": after}
     document = diagnose(source, source.model).model_copy(update=update)
     assert f"which explains {text} beyond noise, and at least one more effect." in summary_of(document)
+
+
+def residual(signal: str, index: str, value: float, unit: str, times_noise: float) -> ResidualDocument:
+    return ResidualDocument(
+        phase="free",
+        signal=signal,
+        index=index,
+        value=value,
+        unit=unit,
+        share=1.0 / times_noise,
+        times_noise=times_noise,
+    )
+
+
+def recording(*residuals: ResidualDocument) -> DiagnosisDocument:
+    """A diagnosis of recordings with an effect that leaves these residuals."""
+    source = AnalyticSource(1, (("straight", (4.0,)),))
+    update = {
+        "verdict": DiagnosisVerdict(Kind.PARTLY, ("straight",)),
+        "named": ("straight",),
+        "error_unit": "N m",
+        "joints": (JointError(joint="joint1", before=1.1, after=0.022, noise=0.049, unit="N m"),),
+        "unexplained": UnexplainedDocument(where=residuals),
+    }
+    return diagnose(source, source.model).model_copy(update=update)
+
+
+def test_the_largest_residual_of_a_recording_is_that_of_the_signal_that_exceeds_its_noise_most() -> None:
+    """Kills: the joint with the largest torque error, although its torque is below its noise."""
+    rest = recording(
+        residual("torque", "joint1", 0.0, "N m", 0.48),
+        residual("velocity of positions", "joint2", 0.0063, "rad/s", 1.8),
+        residual("velocity of positions", "joint3", 0.0086, "rad/s", 2.13),
+        residual("torque", "joint2", 0.5, "N m", 1.2),
+    )
+    assert "residual: 0.0086 rad/s of the velocity of positions joint3 (free), 2.1 times noise." in summary_of(rest)
+    assert "No residual exceeds its noise." in summary_of(recording(residual("torque", "joint1", 0.0, "N m", 0.48)))
+
+
+@pytest.mark.parametrize(("limit", "text"), [(3600.0, "3600 s"), (12.5, "12.5 s")])
+def test_the_processor_time_has_no_exponent(limit: float, text: str) -> None:
+    """Kills: "3.6e+03 s"."""
+    assert f"the processor time of {text} was spent" in not_tried(BudgetDocument(limit=limit, left_out=("a",)))
