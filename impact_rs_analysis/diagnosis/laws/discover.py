@@ -252,9 +252,8 @@ def _with_first(document: DiscoveryDocument, curve: CurveDocument) -> DiscoveryD
 
 def _band(law: Law, document: LawDocument, at: Array) -> tuple[Array, Array]:
     """Force of a law and half width of its 95 % band, ``(k,)`` each: changes by interval ends in quadrature."""
-    sign = -1.0 if law.opposes and not law.quantity.vector(AXES[0]) else 1.0
     numbers = {name: value.estimate for name, value in document.parameters.items()}
-    values, squares = sign * law.force(at, numbers), np.zeros_like(at)
+    values, squares = law.signed_force(at, numbers), np.zeros_like(at)
     for name, value in document.parameters.items():
         if value.ci95 is not None:
             low, high = (law.force(at, {**numbers, name: end}) for end in value.ci95)
@@ -586,7 +585,7 @@ def _separating_value(law: Law, other: Law, diagnosis: DiagnosisDocument, domain
         effect = diagnosis.effect(compared.spec.name)
         assert effect is not None
         numbers = {name: value.estimate for name, value in effect.parameters.items()}
-        forces.append((compared.force(inside, numbers), compared.force(outside, numbers)))
+        forces.append((compared.signed_force(inside, numbers), compared.signed_force(outside, numbers)))
     size = float(np.max(np.abs(forces[0][0])))
     different = np.flatnonzero(np.abs(forces[0][1] - forces[1][1]) > MIN_LAW_DIFFERENCE * size)
     return float(outside[different[0]]) if different.size else None

@@ -214,6 +214,11 @@ class Law:
         """Force without the sign by ``opposes`` at values ``u`` of the quantity, ``(k,)`` each [unit of the place]."""
         return np.broadcast_to(Formula(self.profile, {"u", *numbers})({"u": u, **numbers}), u.shape)
 
+    def signed_force(self, u: Array, numbers: Mapping[str, float]) -> Array:
+        """:meth:`force` with its sign; of a force along a vector the magnitude, ``(k,)`` [unit of the place]."""
+        opposing = self.opposes and not self.quantity.vector(AXES[0])
+        return -self.force(u, numbers) if opposing else self.force(u, numbers)
+
 
 def load_grammar(more: Path | None = None) -> Grammar:
     """The shipped grammar with the terms of another file, which replace those of the same name.

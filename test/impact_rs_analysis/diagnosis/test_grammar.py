@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument
 from impact_rs_analysis.diagnosis.laws.discover import _tie
 from impact_rs_analysis.diagnosis.laws.grammar import Law, curve_of, laws_of, load_grammar, unit_of
 from impact_rs_analysis.diagnosis.search.null_distribution import p_value_with_pareto_tail
@@ -219,3 +219,27 @@ def test_a_p_value_beyond_all_draws_is_that_of_the_tail(freedom: int, quantile: 
         null = np.random.default_rng(seed).chisquare(freedom, 4999)
         found.append(p_value_with_pareto_tail(float(scipy.stats.chi2.isf(quantile, freedom)), null))
     assert quantile / 4.0 < np.exp(np.mean(np.log(found))) < 4.0 * quantile
+
+
+def fitted_laws(**numbers: Mapping[str, float]) -> DiagnosisDocument:
+    """A diagnosis with estimates of some laws."""
+    effects = tuple(
+        EffectDocument.model_construct(
+            name=name,
+            parameters={key: EstimateDocument.model_construct(estimate=value) for key, value in values.items()},
+        )
+        for name, values in numbers.items()
+    )
+    return DiagnosisDocument.model_construct(effects=effects)
+
+
+def test_laws_of_the_same_torque_have_no_value_that_separates_them() -> None:
+    """Kills: profiles before their signs, which are opposite if one law opposes its quantity."""
+    domain = {"q4": (0.5, 1.0)}
+    laws = {one.spec.name: one for one in laws_of(load_grammar(), domain, 7)}
+    above, linear = "motor4_position_above", "motor4_position_linear"
+    assert laws[above].opposes and not laws[linear].opposes
+    diagnosis = fitted_laws(**{above: {"c": 1.0, "start": 0.0}, linear: {"c": -1.0}})
+    assert "measure at" not in _tie(diagnosis, laws[above], [linear], domain, laws)
+    opposite = fitted_laws(**{above: {"c": 1.0, "start": 0.0}, linear: {"c": 1.0}})
+    assert "measure at 1 rad" in _tie(opposite, laws[above], [linear], domain, laws)
