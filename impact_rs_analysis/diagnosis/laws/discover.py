@@ -571,7 +571,7 @@ def _tie(
     separating = [
         where for other in same_quantity if (where := _separating_value(law, other, diagnosis, domain)) is not None
     ]
-    return f"{text}: measure at {max(separating):.2g} {unit}." if separating else f"{text}."
+    return f"{text}: measure at {max(separating, key=abs):.2g} {unit}." if separating else f"{text}."
 
 
 def _separating_value(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) -> float | None:

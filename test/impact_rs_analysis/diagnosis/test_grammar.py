@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument
+from impact_rs_analysis.diagnosis.laws import discover
 from impact_rs_analysis.diagnosis.laws.discover import _tie
 from impact_rs_analysis.diagnosis.laws.grammar import Law, curve_of, laws_of, load_grammar, unit_of
 from impact_rs_analysis.diagnosis.search.null_distribution import p_value_with_pareto_tail
@@ -243,3 +244,14 @@ def test_laws_of_the_same_torque_have_no_value_that_separates_them() -> None:
     assert "measure at" not in _tie(diagnosis, laws[above], [linear], domain, laws)
     opposite = fitted_laws(**{above: {"c": 1.0, "start": 0.0}, linear: {"c": 1.0}})
     assert "measure at 1 rad" in _tie(opposite, laws[above], [linear], domain, laws)
+
+
+@pytest.mark.parametrize(("found", "text"), [((-2.2, -4.1), "at -4.1 rad"), ((2.2, 4.1), "at 4.1 rad")])
+def test_the_value_that_separates_all_tied_laws_is_the_farthest(
+    found: Sequence[float], text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kills: the largest of negative values, which separates the first rival only."""
+    values, names = iter(found), ("motor4_position_linear", "motor4_position_cube")
+    monkeypatch.setattr(discover, "_separating_value", lambda *_: next(values))
+    laws = {one.spec.name: one for one in SHIPPED}
+    assert text in _tie(fitted_laws(**dict.fromkeys(names, {})), law("motor4_position_above"), names, RANGES, laws)
