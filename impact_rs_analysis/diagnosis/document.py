@@ -94,12 +94,14 @@ class EstimateDocument(Schema):
 def explained(before: float, after: float, noise: float) -> float:
     """Share of the squared error beyond noise that the effects explain [-]; negative if the error grows.
 
+    It is 1 if the error of the model is not beyond noise: nothing is left to explain.
+
     Args:
         before: Held-out error without the effects.
         after: Held-out error with the effects.
         noise: Held-out error of noise alone; 0: unknown.
     """
-    return (before**2 - after**2) / max(before**2 - noise**2, 1e-300)
+    return (before**2 - after**2) / (before**2 - noise**2) if before > noise else 1.0
 
 
 def tied_with_best(error: float, best: float) -> bool:

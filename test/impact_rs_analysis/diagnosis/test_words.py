@@ -208,6 +208,12 @@ def test_shares_are_those_of_squared_errors_beyond_noise() -> None:
     assert explained(2.0, 1.0, 0.0) == pytest.approx(0.75)
 
 
+@pytest.mark.parametrize(("before", "after"), [(0.9, 0.8), (0.8, 0.9), (1.0, 1.1), (1e5, 1e200)])
+def test_of_an_error_within_noise_nothing_is_left_to_explain(before: float, after: float) -> None:
+    """Kills: a share of an excess of 1e-300, which is 1e299 with either sign or overflows."""
+    assert explained(before, after, max(before, 1.0)) == 1.0
+
+
 HIDDEN = [
     (),
     (("straight", (0.4,)),),
