@@ -223,7 +223,7 @@ def _scaled(estimate: EstimateDocument, factor: float, unit: str) -> EstimateDoc
     return EstimateDocument(
         estimate=factor * estimate.estimate,
         ci95=(factor * low, factor * high),
-        unit=f"{numerator}/{unit}",
+        unit=f"{numerator}/{f'({unit})' if '/' in unit else unit}",
         meaning=f"change of the {estimate.meaning}" if estimate.meaning else "",
         nominal=0.0,
     )

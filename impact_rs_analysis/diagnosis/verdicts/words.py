@@ -221,9 +221,13 @@ def _dependence(dependence: DependenceDocument, document: DiagnosisDocument) -> 
             (name, _along_curve(dependence, name, covariate.unit)) for name in next(iter(dependence.curve.values()))
         ]
     else:
+        per = covariate.unit or covariate.name
         mean = f"{covariate.mean or 0.0:.4g} {covariate.unit}".strip()
         parts = [
-            (name, f"{_estimate(estimate)} at the mean of {mean}, {_change(dependence.per_unit[name])}")
+            (
+                name,
+                f"{_estimate(estimate)} at the mean of {mean}, {_change(dependence.per_unit[name], per)}",
+            )
             for name, estimate in dependence.at_mean.items()
         ]
     text = "; ".join(f"{name} {sentences}" if several else sentences for name, sentences in parts)
@@ -255,9 +259,9 @@ def _estimate(estimate: EstimateDocument) -> str:
     return text if estimate.unit == "-" else f"{text} {estimate.unit}"
 
 
-def _change(estimate: EstimateDocument) -> str:
+def _change(estimate: EstimateDocument, per: str) -> str:
     """A change per unit of a number, with its sign."""
-    unit, _, per = estimate.unit.rpartition("/")
+    unit = estimate.unit.removesuffix(f"/({per})").removesuffix(f"/{per}")
     text = f"{'+' if estimate.estimate > 0.0 else ''}{estimate_in_line(estimate.estimate, estimate.ci95)}"
     return f"{text} per {per}" if unit == "1" else f"{text} {unit} per {per}"
 

@@ -12,6 +12,7 @@ from contradictions import contradictions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from impact_rs_analysis.diagnosis.dependence_verdicts import _scaled
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import (
     BudgetDocument,
@@ -36,8 +37,16 @@ from impact_rs_analysis.diagnosis.verdict import (
     DiagnosisVerdict,
     Kind,
 )
-from impact_rs_analysis.diagnosis.verdicts.words import not_excluded, not_tried, remaining, shown_unnamed, summary_of
+from impact_rs_analysis.diagnosis.verdicts.words import (
+    _change,
+    not_excluded,
+    not_tried,
+    remaining,
+    shown_unnamed,
+    summary_of,
+)
 from impact_rs_analysis.evidence.cluster import TIMES, Added
+from impact_rs_sim.numbers import estimate_in_line
 
 NAMES = ("friction", "offset", "restitution", "payload")
 
@@ -309,3 +318,12 @@ def test_the_largest_residual_of_a_recording_is_that_of_the_signal_that_exceeds_
 def test_the_processor_time_has_no_exponent(limit: float, text: str) -> None:
     """Kills: "3.6e+03 s"."""
     assert f"the processor time of {text} was spent" in not_tried(BudgetDocument(limit=limit, left_out=("a",)))
+
+
+@pytest.mark.parametrize("per", ["K", "m/s", "belt_speed"])
+@pytest.mark.parametrize(("unit", "text"), [("-", ""), ("N m", " N m"), ("N m s/rad", " N m s/rad")])
+def test_a_change_is_per_unit_of_its_covariate(unit: str, text: str, per: str) -> None:
+    """Kills: a unit split at its last stroke, as "1/m per s"."""
+    change = _scaled(EstimateDocument(estimate=0.2, ci95=(0.1, 0.3), unit=unit, meaning="a"), 1.0, per)
+    assert _change(change, per) == f"+{estimate_in_line(0.2, (0.1, 0.3))}{text} per {per}"
+    assert change.unit == f"{'1' if unit == '-' else unit}/{'(m/s)' if per == 'm/s' else per}"
