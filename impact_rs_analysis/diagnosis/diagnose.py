@@ -71,7 +71,7 @@ from impact_rs_analysis.evidence.source import Source, View
 from impact_rs_analysis.evidence.visited import extrapolations
 from impact_rs_analysis.measure.arms import arms_of, assumptions
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model
 from impact_rs_sim.progress import HOLD_OUT, SEARCH
 from impact_rs_sim.robots.robot import Array
@@ -230,8 +230,15 @@ def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bound
         source: Measurements with the model's predictions.
         only: Names of the effects; None: all that the source offers and the model does not contain.
         bounds: Ranges of parameters by the user.
+
+    Raises:
+        InputError: An unknown effect.
     """
     effects_by_name, present = source.model.known_effects, {item.name for item in source.model.effects}
+    for name in only or ():
+        if name not in effects_by_name:
+            suggestion = did_you_mean(name, effects_by_name)
+            raise InputError(f"no effect {name!r}{suggestion}; known effects: {', '.join(sorted(effects_by_name))}")
     offered = [name for name, effect in effects_by_name.items() if source.offers(effect)]
     return [
         with_bounds(effects_by_name[name].in_proportion(source.proportion), bounds)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from analytic_world import AnalyticSource
 from impact_table_cases import arm_table, write_csv
 from joint_recordings import swinging, write_npz
 
@@ -20,6 +21,7 @@ from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_sim.effects.depending import Depending, Slope
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robots.robot import EndEffector
 from impact_rs_sim.robots.robot_model import RobotModel
@@ -176,3 +178,9 @@ def test_the_place_of_a_payload_is_unsure_only_while_there_is_no_payload(tmp_pat
     assert none is not None and none.insensitive_shapes == none.insensitive == [1, 2, 3, 4]
     some = replace(none, point=np.array([0.5, 0.0, 0.0, 0.0, 0.0]))
     assert some.insensitive == [1, 2, 3, 4] and some.insensitive_shapes == []
+
+
+def test_an_unknown_effect_is_an_input_error() -> None:
+    """Kills: a bare KeyError of a misspelt effect."""
+    with pytest.raises(InputError, match="no effect 'joint_coulomb_frictoin'; did you mean 'joint_coulomb_friction'"):
+        effects_for(AnalyticSource(0), ["joint_coulomb_frictoin"])
