@@ -67,7 +67,7 @@ def _continuous(time: Array, wrapped: Array, speed: float) -> Array | None:
     if wrapped.size < 2:
         return None
     steps, largest = np.diff(wrapped), MAX_STEP_RAD + speed * np.abs(np.diff(time))
-    turns = np.where(np.abs(steps) > 0.5 * TURN, np.sign(steps), 0.0)
+    turns = np.where(np.abs(steps) > np.maximum(0.5 * TURN, largest), np.sign(steps), 0.0)
     if np.any((turns != 0.0) & (np.abs(steps - TURN * turns) > largest)):
         return None
     return np.asarray(wrapped - TURN * np.append(0.0, np.cumsum(turns)))

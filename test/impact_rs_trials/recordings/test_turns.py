@@ -43,6 +43,14 @@ def test_other_jumps_and_continuous_angles_stay_as_they_are() -> None:
         assert unwrapped(signal, FACTS) is signal
 
 
+def test_a_motion_of_more_than_half_a_turn_in_a_gap_is_no_jump() -> None:
+    """Eight seconds without a sample, in which joint 1 goes from -2 to 2 rad. Kills: any step above half a turn."""
+    values = Q.copy()
+    values[:, 0] = np.where(TIME < 2.0, -2.0, 2.0)
+    series = Series("column 'q'", TIME + 8.0 * (TIME >= 2.0), values)
+    assert unwrapped(series, FACTS) is series
+
+
 def test_blank_cells_do_not_hide_a_jump() -> None:
     """Kills: a column with a missing number is not unwrapped."""
     wrapped = np.mod(Q, 2.0 * np.pi)
