@@ -47,7 +47,7 @@ def not_tried(budget: BudgetDocument) -> str:
     steps = ", ".join(budget.left_out)
     if budget.stopped:
         return f"not tried, because the search was stopped: {steps}. The verdict is the best answer until then"
-    spent = f"the processor time of {budget.limit:{'.0f' if budget.limit >= 1000.0 else '.3g'}} s was spent"
+    spent = f"the processor time of {budget.limit:{'.0f' if (budget.limit or 0.0) >= 1000.0 else '.3g'}} s was spent"
     return f"not tried, because {spent}: {steps}. A larger --budget tries them"
 
 
