@@ -113,7 +113,7 @@ def test_a_dependence_is_supported_where_most_folds_find_it_and_predict_better_w
             for number, fold in enumerate(tasks)
         ]
 
-    source.spread = told  # type: ignore[assignment, method-assign]
+    source.distribute = told  # type: ignore[assignment, method-assign]
     found = depending(source)
     assert [pair.name for pair in found.choice.pairs] == [OF_SESSION]
     assert [pair.name for pair in found.pairs] == ([OF_SESSION] if supported else [])
