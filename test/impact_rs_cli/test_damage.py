@@ -54,6 +54,7 @@ from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.readers.array_file import ArrayFile
 from impact_rs_trials.recordings.readers.series import Names
 from impact_rs_trials.recordings.readers.table_file import TableFile
+from impact_rs_trials.recordings.readers.text_file import read_text
 
 BAG = "cat_food__case_2__s1.000__r0"
 LONGEST = 2500  # characters of a message; those that list every known name are long
@@ -131,14 +132,14 @@ def runs(path: Path) -> Path:
 
 
 def lines_of(path: Path) -> int:
-    text = path.read_text(encoding="utf-8-sig")
+    text = read_text(path)
     return sum(bool(line.strip()) and not line.startswith("#") for line in text.split("\n")) - 1
 
 
 def every_sample(path: Path) -> bool:
     """A row of positions for every line that has any; a last line that was cut off is left out, which is said."""
     found = TableFile(path, SHIPPED, Names()).series("position", SHIPPED.signals["position"])
-    head, *rows = csv.reader(line for line in path.read_text(encoding="utf-8-sig").split("\n") if line.strip())
+    head, *rows = csv.reader(line for line in read_text(path).split("\n") if line.strip())
     places = [place for place, name in enumerate(head) if name.strip().startswith("position_")]
     held = sum(any(row[place].strip() for place in places if place < len(row)) for row in rows if row[0][:1] != "#")
     assert found.time.size == found.values.shape[0] <= lines_of(path)
@@ -179,7 +180,7 @@ FILES = {
 # ---- raw logs, by the forms in which laboratories write them --------------------------------------------------------
 
 TIMES = 0.01 * np.arange(40)  # s
-SINES = np.round(np.outer(np.sin(1.0 + TIMES), np.arange(1.0, 8.0)), 6)  # rad
+SINES = np.round(0.3 * np.outer(np.sin(1.0 + TIMES), np.arange(1.0, 8.0)), 6)  # rad, within limits
 SAMPLES = list(zip(TIMES, SINES.tolist(), strict=True))
 NUMBERED = [f"c{column}" for column in range(2, 9)]
 

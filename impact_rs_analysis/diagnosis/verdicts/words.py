@@ -442,15 +442,19 @@ def _largest_change(document: DiagnosisDocument) -> str:
 
 
 def _largest_residuals(document: DiagnosisDocument) -> str:
-    """Largest residuals, in the units of the signals; of recordings the one that exceeds its noise most."""
-    relevant = [entry for entry in document.unexplained.where if entry.value > max(entry.floor, 1e-12)]
+    """Largest residuals, in the units of the signals; of recordings the signal that exceeds its noise most."""
+    where = document.unexplained.where
     if document.error_unit != TIMES and document.joints:
-        worst = max(relevant, key=lambda entry: entry.times_noise, default=None)
-        if worst is None:
-            return "No residual exceeds its noise." if document.unexplained.where else ""
-        where = f"{worst.signal} {worst.index} ({worst.phase})"
-        return f"Largest residual: {worst.value:.2g} {worst.unit} of the {where}, {worst.times_noise:.2g} times noise."
+        residuals = [
+            (e.times_noise, e.value, e.unit, f"{e.signal} of {e.index}") for e in where if e.signal != "torque"
+        ]
+        residuals += [(j.after / j.noise, j.after, j.unit, f"torque of {j.joint}") for j in document.joints if j.noise]
+        ratio, value, unit, name = max(residuals, default=(0.0, 0.0, "", ""))
+        if ratio <= 1.0:
+            return "No residual exceeds its noise." if residuals else ""
+        return f"Largest residual: {value:.2g} {unit} in the {name}, {ratio:.2g} times its noise."
+    relevant = [entry for entry in where if entry.value > max(entry.floor, 1e-12)]
     if not relevant:
         return "All residuals are below their relevance limits."
-    residuals = "; ".join(f"{e.value:.2g} {e.unit} of the {e.signal} {e.index} ({e.phase})" for e in relevant[:2])
-    return f"Largest residual{'s' if len(relevant) > 1 else ''}: {residuals}."
+    sentences = "; ".join(f"{e.value:.2g} {e.unit} of the {e.signal} {e.index} ({e.phase})" for e in relevant[:2])
+    return f"Largest residual{'s' if len(relevant) > 1 else ''}: {sentences}."

@@ -303,15 +303,20 @@ def recording(*residuals: ResidualDocument) -> DiagnosisDocument:
 
 
 def test_the_largest_residual_of_a_recording_is_that_of_the_signal_that_exceeds_its_noise_most() -> None:
-    """Kills: the joint with the largest torque error, although its torque is below its noise."""
-    rest = recording(
-        residual("torque", "joint1", 0.0, "N m", 0.48),
+    """Kills: the joint with the largest torque error, and torques by phase, of which a document has the first alone."""
+    velocities = [
         residual("velocity of positions", "joint2", 0.0063, "rad/s", 1.8),
         residual("velocity of positions", "joint3", 0.0086, "rad/s", 2.13),
-        residual("torque", "joint2", 0.5, "N m", 1.2),
+    ]
+    torque = residual("torque", "joint2", 0.5, "N m", 3.0)
+    assert "Largest residual: 0.0086 rad/s in the velocity of positions of joint3, 2.1 times its noise." in summary_of(
+        recording(torque, *velocities)
     )
-    assert "residual: 0.0086 rad/s of the velocity of positions joint3 (free), 2.1 times noise." in summary_of(rest)
-    assert "No residual exceeds its noise." in summary_of(recording(residual("torque", "joint1", 0.0, "N m", 0.48)))
+    assert "No residual exceeds its noise." in summary_of(recording(torque))
+    loud = JointError(joint="joint2", before=1.1, after=0.03, noise=0.005, unit="N m")
+    quiet = JointError(joint="joint1", before=1.1, after=0.3, noise=0.2, unit="N m")
+    document = recording(*velocities).model_copy(update={"joints": (quiet, loud)})
+    assert "Largest residual: 0.03 N m in the torque of joint2, 6 times its noise." in summary_of(document)
 
 
 @pytest.mark.parametrize(("limit", "text"), [(3600.0, "3600 s"), (12.5, "12.5 s")])
