@@ -306,7 +306,7 @@ def test_show_writes_a_run_of_a_laboratory_and_its_twin(laboratory: Path, capfd:
     assert '"model":null' in text.replace(" ", "")
     assert main(show(laboratory, "--run", "run_2", "--model", "nominal")) == 0
     text = (laboratory.parent / "lab_run_2.html").read_text()
-    assert "nominal, from the measured state at the begin of every window" in text
+    assert "nominal, from the measured state at the beginning of every window" in text
     assert '"model":null' not in text.replace(" ", "")
 
 

@@ -191,22 +191,6 @@ class Candidate:
         return next(part for effect, part in self.parts if effect.name == name)
 
     @property
-    def linear_range(self) -> tuple[Array, Array]:
-        """Lowest and highest values at which the sensitivities may be used, within the bounds, ``(p,)`` each.
-
-        A shape stays between the neighbours of the nearest value of its grid. Further away its sensitivity is wrong: a
-        linear step would end at a bound, where the effect hardly depends on the shape, and the fit would stay there.
-        """
-        lower, upper = self.lower.copy(), self.upper.copy()
-        for index, scalar in enumerate(self.scalars):
-            if scalar.grid:
-                grid = np.clip(sorted(scalar.grid), lower[index], upper[index])
-                values = np.concatenate((lower[[index]], grid, upper[[index]]))
-                nearest = int(np.argmin(np.abs(grid - self.point[index])))
-                lower[index], upper[index] = values[[nearest, nearest + 2]]
-        return lower, upper
-
-    @property
     def has_sensitivity(self) -> bool:
         """Whether some sensitivity at ``point`` is not zero."""
         return any(np.any(jacobian) for jacobian in self.jacobians)
@@ -462,9 +446,9 @@ class Problem:
         )
         self._counts = np.array([item.count * target.size for item, target in zip(clusters, self.targets, strict=True)])
         self._mean_squares = np.array([target @ target / target.size for target in self.targets])
-        scale, (lower, upper) = candidate.scale, candidate.linear_range
-        self._lower = (lower - candidate.point) / scale
-        self._upper = np.maximum((upper - candidate.point) / scale, self._lower + MIN_BOUND_GAP)
+        scale = candidate.scale
+        self._lower = (candidate.lower - candidate.point) / scale
+        self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + MIN_BOUND_GAP)
         self._nominal = (candidate.nominal - candidate.point) / scale
         self._weigh_prior(1.0)
         if noise_unknown:

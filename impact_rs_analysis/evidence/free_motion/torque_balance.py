@@ -9,10 +9,10 @@ at three times the cut-off; accelerations are central differences of the smoothe
 Predicted and recorded torque then pass the same low-pass at the cut-off; both ends are left out. The model is not
 linear in the motion: with motion smoothed at the cut-off itself, the predicted torque is not the low-passed torque.
 
-Dry friction jumps where a joint reverses: it is computed from the smoothed velocity at the rate of the samples, and
-smoothed like the recorded torque. At a reversal a joint sticks for a moment (Karnopp 1985, J. Dyn. Sys. Meas. Control
-107). Sticking is not modelled: it makes the inertia of a motor 1 to 2.6 % too large in swings of up to 1.5 Hz; with the
-true friction the error is 0.1 %.
+Dry friction jumps where a joint reverses: it is computed from the velocity at the rate of the samples, smoothed at ten
+times the cut-off (differences of a coarse encoder stand still for some samples), and smoothed like the recorded torque.
+At a reversal a joint sticks for a moment (Karnopp 1985, J. Dyn. Sys. Meas. Control 107). Sticking is not modelled: it
+makes the inertia of a motor 1 to 2.6 % too large in swings of up to 1.5 Hz; with the true friction the error is 0.1 %.
 
 Where the motors have encoders of their own (theta), B and friction act on the motion of the motors, and the deflection
 of the transmission is a second signal without its mean, which is an offset of the encoders:
@@ -59,6 +59,7 @@ from impact_rs_trials.runs import ArmSignals, Run
 
 FILTER_ORDER = 4  # Butterworth low-pass, forwards and backwards
 SMOOTHING_RATIO = 3.0  # cut-off of the signals, over the cut-off of predicted and recorded torque
+REVERSAL_RATIO = 10.0  # cut-off of the velocity of dry friction, likewise
 MAX_CUT_OFF_SHARE = 0.3  # of the sampling rate
 PADDED_SAMPLES = 15  # beyond each end, three times the coefficients of the filter
 MAX_SAMPLES_PER_PERIOD = 10.0  # of the cut-off frequency, on the grid
@@ -134,6 +135,7 @@ class Motion:
         cut_off: Cut-off frequency of the low-pass [Hz].
         rate: Sampling rate of the grid [Hz].
         stride: Samples of the recording per sample of the grid.
+        fast: Part of dq above its smoothing and below ten times the cut-off, ``(stride (k - 1) + 1, n)`` [rad/s].
         servo: Servos from whose law the torque was computed; None: it was recorded.
     """
 
@@ -153,6 +155,7 @@ class Motion:
     cut_off: float
     rate: float
     stride: int
+    fast: Array
     servo: ServoMotion | None = None
 
     @property
@@ -218,7 +221,7 @@ class Motion:
             velocity: Smoothed velocity of the motors on the grid [rad/s].
             carried: Torque of the transmissions on the grid [N m].
         """
-        velocity = self._fine_velocity if velocity is self.velocity else self.at_samples(velocity)
+        velocity = self.fast + (self._fine_velocity if velocity is self.velocity else self.at_samples(velocity))
         loaded = 0.0 if friction.load is None else self.at_samples(carried)
         torque = friction.torque(velocity, loaded) - friction.viscous_torque(velocity)
         return _smoothed(torque, self.cut_off, self.rate * self.stride)[:: self.stride]
@@ -249,9 +252,9 @@ def _derivative(values: Array, rate: float) -> Array:
     return np.asarray(scipy.ndimage.correlate1d(np.concatenate(ends), weights, axis=0)[3:-3])
 
 
-def _smoothed(values: Array, cut_off: float, sampled: float) -> Array:
-    """Signals at the rate of the samples [Hz] without what is far above the cut-off [Hz]."""
-    return _low_pass(values, min(SMOOTHING_RATIO * cut_off, MAX_CUT_OFF_SHARE * sampled), sampled)
+def _smoothed(values: Array, cut_off: float, sampled: float, ratio: float = SMOOTHING_RATIO) -> Array:
+    """Signals at the rate of the samples [Hz] below a multiple of the cut-off [Hz]."""
+    return _low_pass(values, min(ratio * cut_off, MAX_CUT_OFF_SHARE * sampled), sampled)
 
 
 def _filtered(values: Array, cut_off: float, sampled: float, stride: int) -> Array:
@@ -330,6 +333,7 @@ def prepare(run: Run, cut_off: float, law: ServoLaw | None = None) -> Motion:
         cut_off=cut_off,
         rate=rate,
         stride=stride,
+        fast=(_smoothed(speeds, cut_off, sampled, REVERSAL_RATIO) - dq)[: (count - 1) * stride + 1],
         servo=servo,
     )
 

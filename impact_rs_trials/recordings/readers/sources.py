@@ -93,10 +93,14 @@ def _continuous_angles(read: dict[SignalName, Series], mapping: Mapping) -> dict
     """Positions of joints, and desired positions in the same turn."""
     if "position" not in read:
         return {}
-    position = unwrapped(read["position"], mapping.facts)
+    try:
+        facts = mapping.facts
+    except InputError:  # a preview shows signals of a mapping that an analysis refuses
+        return {}
+    position = unwrapped(read["position"], facts)
     if "q_desired" not in read:
         return {"position": position}
-    return {"position": position, "q_desired": unwrapped(read["q_desired"], mapping.facts, position)}
+    return {"position": position, "q_desired": unwrapped(read["q_desired"], facts, position)}
 
 
 def _check_is_read(path: Path, mapping: Mapping, names: Names) -> None:

@@ -63,7 +63,7 @@ def test_what_was_not_tried_is_said() -> None:
     assert found.budget.limit == LIMIT
     assert any(what.startswith("effects in addition to straight") for what in found.budget.left_out)
     first = found.remarks[0]
-    assert first.startswith("not tried, because the processor time of 1e+03 s was spent: ") and "--budget" in first
+    assert first.startswith("not tried, because the processor time of 1000 s was spent: ") and "--budget" in first
     assert all(what in first for what in found.budget.left_out)
 
 

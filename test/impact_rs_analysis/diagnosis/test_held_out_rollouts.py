@@ -104,7 +104,7 @@ def test_friction_that_stands_in_for_a_law_of_the_frequency_is_contradicted_by_r
     Most of the squared velocity is fast, and decides the balance. Slow errors are what two seconds add up to.
     """
     mapping = mapping_of(tmp_path, lighter(slender_arm(("revolute",), FLAT), 10.0), torque_measured_at="motor")
-    time = np.arange(0.0, 36.0, 0.02)
+    time = np.arange(0.0, 72.0, 0.02)
     slow, fast = ((2.0 * np.pi * rate, size) for rate, size in ((0.08, 1.0), (0.9, 0.3)))
     q, dq, ddq = (np.zeros_like(time) for _ in range(3))
     effort = np.random.default_rng(0).normal(0.0, 0.01, time.size)

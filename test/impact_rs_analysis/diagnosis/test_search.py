@@ -867,17 +867,3 @@ def test_effects_fitted_together_start_at_the_best_shape_beside_each_other(monke
     monkeypatch.setattr(search, "_refined", lambda start, evidence: starts.append(start) or Fit.of(start, evidence))
     search.fitted(("constant", "fading"))
     assert starts[0].point[2] == 10.0
-
-
-def test_a_linear_step_keeps_a_shape_between_the_neighbours_of_its_grid_value() -> None:
-    """Kills: a step to the bound, 25, which the sensitivity far below the best rate would take."""
-    source = AnalyticSource(1, (("fading", (5.0, 10.0)),))
-    effect_, evidence = EFFECTS["fading"], Evidence.of(source)
-    for rate, lowest, highest in ((0.1, 0.01, 1.0), (0.9, 0.1, 10.0), (1.0, 0.1, 10.0), (20.0, 1.0, 50.0)):
-        start = linearise(
-            Candidate.of((effect_,), source, np.array([1.0, rate])), evidence.clusters, evidence.numbers, source
-        )
-        assert start is not None
-        low, high = start.linear_range
-        assert (low[1], high[1]) == (lowest, highest)
-        assert lowest - 1e-6 <= Fit.of(start, evidence).estimate[1] <= highest + 1e-6

@@ -76,8 +76,8 @@ def test_an_import_reads_tables_once_and_bags_twice(tmp_path: Path, monkeypatch:
     table = np.column_stack([TIME, motion["position"], motion["velocity"], motion["effort"]])
     np.savetxt(tmp_path / "run.csv", table, delimiter=",", header=",".join(names), comments="")
     opened: list[str] = []
-    text = Path.read_text
-    monkeypatch.setattr(Path, "read_text", lambda path, **options: opened.append(path.name) or text(path, **options))
+    data = Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: opened.append(path.name) or data(path))
     draft_import([tmp_path / "run.csv"], tmp_path / "lab", ImportOptions(robot="kuka_iiwa7"))
     assert opened.count("run.csv") == 1
     write_bag(tmp_path / "bag", motion, list(range(7)), names=[f"joint{joint}" for joint in range(1, 8)])
