@@ -148,8 +148,8 @@ ADDED_TO_SERVO = "; their controller adds the gravity torque, which is taken fro
 SERVO_TORQUE = "no torque was recorded: it is computed by the law of position servos, {law}"
 UNKNOWN_GAIN = (
     f"; kp was estimated from gravity and inertia of the model and is known to {GAIN_DEVIATION:.0%}. It is fitted with "
-    "every model, so this log cannot hold masses or gains apart: torques and friction are known in proportion to the "
-    "masses of the model alone"
+    "every model, so this log cannot distinguish masses from gains: torques and friction are known in proportion to "
+    "the masses of the model alone"
 )
 UNKNOWN_DAMPING = "; kd is unknown, so viscous friction includes the damping of the servos"
 
