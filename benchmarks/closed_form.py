@@ -35,7 +35,7 @@ class Simulator:
     """Error of the simulator of a campaign.
 
     Attributes:
-        size: Standard deviation of the error in every feature over that of the noise, as in the discrepancy [-].
+        size: Ratio of the standard deviations of error and noise in every feature, as in the discrepancy [-].
         kind: ``measured``: its error is a sum of the patterns of the discrepancy, with standard normal amplitudes.
             ``new``: an error of equal size in directions of no pattern.
     """

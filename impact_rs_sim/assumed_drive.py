@@ -29,7 +29,7 @@ DAMPING_OVER_STIFFNESS_S = 12.0 / 14000.0  # s
 FRANKA_SPEED_LIMIT_RAD_S = 2.175  # rad/s, of the joint whose drive is scaled
 MAX_SHARE_OF_UNSTABLE_DAMPING = 0.25  # of the damping at which the torque loop loses its stability [-]; assumed
 # 1/s, damping over the inertia at the spring. At the joint's resonance the velocity feedback 2 sqrt(400 / s^2) has the
-# gain 40 m / D: this is twice the smallest sufficient damping, and that of a Franka arm.
+# gain 40 m / D: twice the smallest sufficient damping, as a Franka arm has it.
 MAX_DAMPING_RATE_PER_S = 80.0
 
 

@@ -64,7 +64,7 @@ def lag_along(time: Array, value: Any, constant: Any, start: Any = None) -> Arra
         time: Times, ``(k,)`` [s].
         value: u, a number or ``(k,)``.
         constant: T, a number or ``(k,)`` [s].
-        start: z at the first sample, a number, or ``(k,)`` of which the first is used; None: u.
+        start: z at the first sample, a number or the first of ``(k,)``; None: u.
     """
     u = np.broadcast_to(np.asarray(value, dtype=float), time.shape)
     rate = np.broadcast_to(_rate(constant), time.shape)

@@ -82,7 +82,7 @@ class Proportion:
 
 
 def gyration_of(body: ObjectPhysics) -> float:
-    """Radius of gyration of a body, rms over its axes; for a fixed body that of a homogeneous box of its size [m]."""
+    """Radius of gyration of a body, rms over its axes [m]; a fixed body counts as a homogeneous box of its size."""
     per_mass = BOX.moments(1.0, body.size) if body.fixed else body.inertia / body.mass
     return float(np.sqrt(np.mean(per_mass)))
 

@@ -19,7 +19,7 @@ REVISION_FILE = "git_revision.txt"  # written by CMakeLists.txt, beside this fil
 def git_revision() -> str:
     """Revision of the sources, with ``+`` if they have uncommitted changes; empty if unknown.
 
-    It is that of the source tree, or, in an installation by colcon or pip, the revision recorded by the build.
+    The revision of the source tree or, if colcon or pip installed it, the revision recorded by the build.
     """
     folder = Path(__file__).resolve().parent
     return described_by_git(folder) if (folder.parent / ".git").exists() else recorded_revision(folder)

@@ -79,7 +79,7 @@ def _runs(source: Source) -> Sequence[Run]:
 
 
 def _signals(run: Run, after: float) -> tuple[Symbols, list[Symbols]]:
-    """Symbols along a run: those of time and object, and those of every arm."""
+    """Symbols along a run, of time, object and every arm."""
     impacts = getattr(run, "impacts", {})
     end = min(impacts.values()) + after if impacts else np.inf
     count = np.count_nonzero(run.signals.time <= end)

@@ -62,7 +62,7 @@ _lock = threading.Lock()
 
 
 def engine_name(name: str) -> str:
-    """Present name of an engine; ``name`` may be that of an older version.
+    """Present name of an engine; ``name`` may come from an older version.
 
     Raises:
         InputError: There is no such engine.

@@ -6,7 +6,7 @@
 M, h and J come from here. The Jacobian is geometric, of frame E, written in E[A]: origin at E, axes of the inertial
 frame A; rows 0..2 are linear, rows 3..5 angular. Units per joint are those of :data:`impact_rs_sim.robots.robot.UNITS`.
 
-Columns of a tree belong to the components of v (:mod:`impact_rs_sim.robots.robot`); those of a floating base,
+Columns of a tree belong to the components of v (:mod:`impact_rs_sim.robots.robot`); columns of a floating base,
 Pinocchio's free flyer, come first. Joints that follow others reduce M and J: with the positions G q + q_0 of all
 joints,
 

@@ -201,7 +201,7 @@ def test_what_commands_have_written_is_no_recording(workspace: Workspace) -> Non
 
 
 def test_a_table_of_impacts_may_be_in_parquet(workspace: Workspace) -> None:
-    """Kills: a Parquet table of impacts is a recording that nobody has described."""
+    """Kills: the workbench lists a Parquet table of impacts as a recording without a mapping."""
     pyarrow, parquet = (pytest.importorskip(name) for name in ("pyarrow", "pyarrow.parquet"))
     for name, columns in (("tosses", ["vx_before", "vx_after"]), ("log", ["time", "q1"])):
         table = pyarrow.table({column: [0.1] for column in columns})

@@ -29,7 +29,7 @@ from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.relations import AveragedMotion, dry_friction, evenly, fit
 from impact_rs_trials.recordings.remarks import Remark, joined, remark
 
-MAX_SAMPLES = 40
+MAX_SAMPLES = 40  # of a recording, each with rigid-body dynamics for some thousand choices
 RIGHT_ANGLES = (0.0, 0.5 * np.pi, -0.5 * np.pi, np.pi)  # rad
 MIN_LOG_RATIO = 1.0  # of the mean squares of all joints, by which every changed direction or zero must lower them
 MAX_MISFIT_RATIO = 0.1  # over the misfit of factors of the torques, and over the squares of the torques

@@ -79,10 +79,10 @@ def test_a_dependence_is_accepted_where_it_is_significant_among_all_pairs(
 ) -> None:
     """Of two pairs half of 1 % decides; the sizes pass every other gate. Kills: p not asked, or not adjusted."""
 
-    def told(evidence: Evidence, fitted: object, found: dict[str, object]) -> dict[str, float]:
+    def fold_results(evidence: Evidence, fitted: object, found: dict[str, object]) -> dict[str, float]:
         return {name: p if name == OF_SESSION else 1.0 for name in found}
 
-    monkeypatch.setattr(dependence, "_p_values", told)
+    monkeypatch.setattr(dependence, "_p_values", fold_results)
     choice = depending(InSessions(1, in_session)).choice
     assert [pair.name for pair in choice.pairs] == ([OF_SESSION] if accepted else [])
     assert accepted or choice.p_values[OF_SESSION] == pytest.approx(2.0 * p)
@@ -107,13 +107,13 @@ def test_a_dependence_is_supported_where_most_folds_find_it_and_predict_better_w
     assert len(whole.folds) == 6 and [pair.name for pair in whole.pairs] == [OF_SESSION]
     after = whole.after if better else whole.before
 
-    def told(function: object, tasks: Sequence[Fold], what: str) -> list[object]:
+    def fold_results(function: object, tasks: Sequence[Fold], what: str) -> list[object]:
         return [
             ((OF_SESSION,) if number < folds else (), {n: (whole.before[n], after[n]) for n in fold.held_out})
             for number, fold in enumerate(tasks)
         ]
 
-    source.distribute = told  # type: ignore[assignment, method-assign]
+    source.distribute = fold_results  # type: ignore[assignment, method-assign]
     found = depending(source)
     assert [pair.name for pair in found.choice.pairs] == [OF_SESSION]
     assert [pair.name for pair in found.pairs] == ([OF_SESSION] if supported else [])
