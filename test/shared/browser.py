@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pages in a headless Chromium: one process for the tests of a file, a context of its own for each page.
 
-Without a graphics card WebGL is drawn by the processor, which takes most of the time of a test that never looks at the
-picture. Pages have none unless a test asks for it; bodies and arrows are placed all the same.
+Without a graphics card everything is drawn by a software renderer of OpenGL, which takes a third of the time of a test
+that never looks at the picture. Pages have no WebGL unless a test asks for it; bodies and arrows are placed all the same.
 
 The driver of Playwright keeps an event loop in the thread of the tests, where no other may run: it ends with the file.
 """
@@ -18,16 +18,14 @@ from pathlib import Path
 import cost
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Locator, Page, Route, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserType, Locator, Page, Route, expect, sync_playwright
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium or chrome on this machine")
-SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+SOFTWARE_WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+NO_WEBGL = ("--disable-gpu", "--disable-software-rasterizer")
 LOCAL = ("file:", "data:", "blob:")
 EXPECTED = ("THREE.WebGLRenderer: ", "Failed to load resource: ")  # errors of the console: no WebGL; a mistake is a 400
-NO_WEBGL = """{ const own = HTMLCanvasElement.prototype.getContext;
-HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
-  return kind.startsWith('webgl') ? null : own.call(this, kind, ...rest); }; }"""
 FRAMES = (
     "(count) => new Promise((done) => { const next = () => count-- ? requestAnimationFrame(next) : done(); next(); })"
 )
@@ -42,11 +40,15 @@ def chromium() -> Iterator[Browser]:
     """A browser, whose start is charged to no test, and whose processes take their times with them at the end."""
     driver = sync_playwright()
     with cost.shared():
-        browser = driver.start().chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        browser = _launched(driver.start().chromium, webgl=PICTURES)
     yield browser
     with cost.shared():
         browser.close()
         driver.__exit__()
+
+
+def _launched(kind: BrowserType, *, webgl: bool) -> Browser:
+    return kind.launch(executable_path=CHROMIUM, args=("--no-sandbox", *(SOFTWARE_WEBGL if webgl else NO_WEBGL)))
 
 
 @contextmanager
@@ -56,12 +58,12 @@ def opened(browser: Browser, address: str, *, webgl: bool = False, **options: ob
     Args:
         browser: The browser.
         address: What is opened.
-        webgl: Whether it draws in 3D.
+        webgl: Whether it draws in 3D: in a second browser, which can.
         options: Of the context.
     """
+    if webgl and not PICTURES:
+        browser = _launched(browser.browser_type, webgl=True)
     context = browser.new_context(**options)  # type: ignore[arg-type]
-    if not (webgl or PICTURES):
-        context.add_init_script(NO_WEBGL)
     page, wrong, home = context.new_page(), list[str](), address.partition("/?")[0]
     page.set_default_timeout(PATIENCE)
     page.on("pageerror", lambda error: wrong.append(str(error.stack)))
@@ -73,6 +75,8 @@ def opened(browser: Browser, address: str, *, webgl: bool = False, **options: ob
     page.goto(address)
     yield page
     context.close()
+    if webgl and not PICTURES:
+        browser.close()
     assert wrong == [], wrong
 
 
