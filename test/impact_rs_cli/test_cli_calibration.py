@@ -175,6 +175,7 @@ def test_the_library_says_what_calibrates_a_reading(document: Document, capfd: p
     assert "a fault of a reading; to calibrate it: move every joint" in capfd.readouterr().out
 
 
+@pytest.mark.slow
 def test_turned_axes_of_spins_calibrate_a_table(tmp_path: Path, document: Document) -> None:
     """Kills: a table read without the calibration beside it."""
     table = ("--impacts", turned_ball_table(tmp_path / "balls.csv", 0.0873), "--jobs", "1")

@@ -232,7 +232,7 @@ def test_the_nominal_push_is_unique() -> None:
 
 @settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(seed=st.integers(0, 10**6), share=st.floats(0.2, 3.0))
-def test_the_told_answer_does_not_depend_on_where_the_solver_starts(seed: int, share: float) -> None:
+def test_the_answer_does_not_depend_on_where_the_solver_starts(seed: int, share: float) -> None:
     terms = terms_of(random_problem(PUSH, np.random.default_rng(seed)))
     first, converged = newton(terms, by_sweeps(terms))
     weights = np.linspace(1.0, share, len(first))[:, None]
@@ -241,7 +241,7 @@ def test_the_told_answer_does_not_depend_on_where_the_solver_starts(seed: int, s
         np.testing.assert_allclose(velocity(terms, second), velocity(terms, first), atol=1e-7)
 
 
-def test_the_told_answer_has_the_least_norm_of_equivalent_impulses() -> None:
+def test_the_answer_has_the_least_norm_of_equivalent_impulses() -> None:
     # A frictionless box on four corners: u^+ is one, and its load is spread as evenly as it can be.
     problem = nominal()
     problem = replace(problem, physics=replace(problem.physics, pad_friction=0.0, support_friction=0.0))

@@ -39,7 +39,10 @@ def test_a_draft_for_six_joints_is_a_valid_file_whose_trials_ran(six_joints: Dra
     assert scenario.uncertainty.motor_inertia == ASSUMED_MOTOR_INERTIA
 
 
-@pytest.mark.parametrize("geometry", ['<cylinder radius="0.05" length="0.18"/>', '<box size="0.2 0.15 0.18"/>'])
+@pytest.mark.parametrize(
+    "geometry",
+    ['<cylinder radius="0.05" length="0.18"/>', pytest.param('<box size="0.2 0.15 0.18"/>', marks=pytest.mark.slow)],
+)
 def test_a_draft_with_an_object_of_a_urdf_is_a_scenario_whose_trial_runs(geometry: str, tmp_path) -> None:
     """The file holds the object; one of its trials, from the file, ends well."""
     urdf = tmp_path / "thing.urdf"

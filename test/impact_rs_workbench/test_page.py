@@ -38,6 +38,7 @@ NUMBER = re.compile("[0-9] s")
 # ---- every step -----------------------------------------------------------------------------------------------------
 
 
+OFTEN = ("predict", "compare", "diagnose")  # steps of every user
 CUT_OFF = """() => [...document.querySelectorAll('main label > select')].filter((node) => {
     const pen = document.createElement('canvas').getContext('2d'), text = node.selectedOptions[0]?.text ?? '';
     pen.font = getComputedStyle(node).font;
@@ -50,7 +51,9 @@ CUT_OFF = """() => [...document.querySelectorAll('main label > select')].filter(
 @pytest.mark.parametrize(
     ("step", "tab"),
     [
-        pytest.param(step, tab, marks=[pytest.mark.slow] if number else [])  # of each step the first tab is fast
+        pytest.param(
+            step, tab, marks=[pytest.mark.slow] if number or step not in OFTEN else []
+        )  # fast: their first tabs
         for step, tabs in TABS.items()
         for number, tab in enumerate(tabs)
     ],
@@ -72,7 +75,7 @@ def test_a_tab_fits_every_screen_and_is_accessible(
         expect(page.locator("#jobs-toggle")).to_be_in_viewport()
 
 
-@pytest.mark.parametrize("step", TABS)
+@pytest.mark.parametrize("step", [pytest.param(one, marks=[] if one in OFTEN else pytest.mark.slow) for one in TABS])
 def test_the_first_two_lines_say_what_a_step_or_tab_is_and_what_comes_next(visit: Visit, step: str) -> None:
     """Each in its own words; what comes next is another place of the page, and the address leads back."""
     page, said = visit(step), []

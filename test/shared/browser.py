@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pages in a headless Chromium: one process for the tests of a file, a context of its own for each page.
 
-Without a graphics card everything is drawn by a software renderer of OpenGL, which takes a third of the time of a test
-that never looks at the picture. Pages have no WebGL unless a test asks for it; bodies and arrows are placed all the same.
+Without a graphics card everything is drawn by a software renderer of OpenGL, which takes a third of the time of a
+test that never looks at the picture. Pages have no WebGL unless a test asks for it; bodies and arrows are placed all
+the same.
 
 The driver of Playwright keeps an event loop in the thread of the tests, where no other may run: it ends with the file.
 """

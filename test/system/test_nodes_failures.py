@@ -146,7 +146,10 @@ def test_trial_of_a_lost_node_is_repeated_and_the_node_named(
     assert TrialBag.open(folder / manifest.keys[0].name).counts[STATES] == SAMPLES
 
 
-@pytest.mark.parametrize("victim", ["controller", "plant", "recorder"])
+@pytest.mark.parametrize(
+    "victim",
+    ["controller", pytest.param("plant", marks=pytest.mark.slow), pytest.param("recorder", marks=pytest.mark.slow)],
+)
 def test_a_node_that_is_deactivated_ends_its_trial_with_that_reason_and_serves_the_next_once_active(
     graph: Graph, tmp_path: Path, short: str, victim: str
 ) -> None:

@@ -41,6 +41,7 @@ def between(forecast: Forecast, *names: str) -> Decision:
     return which_effect(effects, forecast.source.joints, forecast.source.worlds)
 
 
+@pytest.mark.slow
 def test_whether_any_effect_is_missing_asks_for_none_by_name(forecast: Forecast) -> None:
     """Each effect against the model as it is, and no two against each other."""
     names = ("object_mass", "support_friction", "restitution")

@@ -162,6 +162,7 @@ def with_friction(file: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_a_ripple_is_found_with_amplitude_and_wave_number(tmp_path: Path) -> None:
     document = found_in(tmp_path, ripple)
     assert document.verdict == FOUND
@@ -301,6 +302,7 @@ def test_what_no_form_explains_is_a_curve_within_its_band(stepped: tuple[Path, D
     assert law.valid is not None and (law.valid.low, law.valid.high) == pytest.approx((-0.74, 0.74), abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_curve_becomes_part_of_a_model_that_says_where_it_ends(
     stepped: tuple[Path, DiscoveryDocument], tmp_path: Path
 ) -> None:

@@ -92,7 +92,7 @@ def test_a_payload_that_no_body_can_lose_is_at_a_bound(place: tuple[float, float
 @pytest.mark.parametrize(
     ("mapping", "mass", "place", "verdict"),
     [
-        (BARE, 0.5, (0.02, 0.01, 0.05), "CONFIRMED"),
+        pytest.param(BARE, 0.5, (0.02, 0.01, 0.05), "CONFIRMED", marks=pytest.mark.slow),
         (BARE, -0.3, (0.01, 0.0, -0.03), "CONFUSABLE-WITH"),  # near the wrist: as links of another 9 %
         (WITH_TOOL, -0.3, (0.01, 0.0, -0.03), "CONFIRMED"),
     ],

@@ -356,6 +356,7 @@ def test_both_signals_of_a_joint_are_compared_in_their_units(tmp_path: Path) -> 
     assert all(row.times_noise > 20.0 for row in rows)
 
 
+@pytest.mark.slow
 def test_a_harmonic_drive_that_resonates_is_not_taken_for_damping_and_delay(tmp_path: Path) -> None:
     """A chirp through the resonance, most of it above the low-pass; K is 7 Hz with 0.05 kg m^2."""
     (tmp_path / "robot.yaml").write_text(ROBOT)

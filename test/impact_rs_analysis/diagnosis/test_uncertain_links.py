@@ -40,7 +40,7 @@ def test_a_load_is_tied_with_the_links_as_far_as_these_may_be_wrong(
     assert explained_by_links(tmp_path, wrong, load) is tied
 
 
-@pytest.mark.parametrize(("wrong", "load"), [(True, 0.0), (False, 0.2)])
+@pytest.mark.parametrize(("wrong", "load"), [pytest.param(True, 0.0, marks=pytest.mark.slow), (False, 0.2)])
 def test_wrong_links_confirm_no_load_and_a_load_is_confirmed(wrong: bool, load: float, tmp_path: Path) -> None:
     """Kills a comparison with single effects of the links alone: none has the numbers of a body."""
     links = wrong_links(0.2, 0.01, seed=3) if wrong else FACTS.links

@@ -48,6 +48,7 @@ def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ball_table(path, racket, rows=40, noise=NOISE, stated=False, friction=0.3, restitution=0.0)
 
 
+@pytest.mark.slow
 def test_a_size_on_which_nothing_turns_widens_the_intervals(balls: Path) -> None:
     plain, unsure = diagnosed(balls), diagnosed(balls, radius=(0.019, 0.021))
     assert unsure.named == plain.named

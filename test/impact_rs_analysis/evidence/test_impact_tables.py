@@ -170,6 +170,7 @@ def test_motor_inertia_of_an_arm_is_found_from_its_jumps(tmp_path: Path) -> None
     assert {feature.signal for feature in source.signals} >= {JOINT_VELOCITY_AFTER}
 
 
+@pytest.mark.slow
 def test_joints_that_a_stiff_controller_holds_are_told_from_heavier_motors(tmp_path: Path) -> None:
     """All resist more by the same inertia, motors by a factor of their own. Kills control that scales the inertia."""
     stiffness, duration = 7000.0, 0.03
@@ -436,6 +437,7 @@ def test_a_search_of_all_rows_is_that_of_the_table(tmp_path: Path, monkeypatch: 
     assert source.unseen(source.searched(), ()) == ()
 
 
+@pytest.mark.slow
 def test_workers_find_what_one_process_finds(tmp_path: Path) -> None:
     """Sources travel to other processes without what belongs to this one."""
     table = read_impact_table(write_csv(tmp_path / "cubes.csv", CUBE_HEADER, cube_rows(cube(0.2, 0.3), 36)))

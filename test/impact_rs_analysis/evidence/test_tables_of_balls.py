@@ -259,9 +259,10 @@ LAWS_THAT_BEND = ["restitution", "restitution_fall", "contact_dissipation", "res
             Racket(lambda v: rebound_of_force(0.1, v)),
             {"restitution": (1.0, 0.0021), "contact_dissipation": (0.1, 0.0014)},
         ),
-        (
+        pytest.param(
             Racket(lambda v: 0.6 if v > 4.0 else 0.0),
             {"restitution": (0.6, 0.00092), "restitution_threshold": (4.0, 0.0)},
+            marks=pytest.mark.slow,
         ),
     ],
     ids=["dissipation", "threshold"],
@@ -311,6 +312,7 @@ def driven(path: Path, speed: float, stated: bool) -> Path:
     return write_csv(path, header, [[*row[:up], float(row[up]) + 2.0 * speed, *row[up + 1 :]] for row in rows])
 
 
+@pytest.mark.slow
 def test_spins_in_axes_that_are_five_degrees_off_are_no_drilling_friction(tmp_path: Path) -> None:
     """Topspin on a rough face: seen from turned axes, a part of the spin about the normal is lost in every impact."""
     angle = np.radians(5.0)

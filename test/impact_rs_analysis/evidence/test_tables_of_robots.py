@@ -63,7 +63,10 @@ def table_of(folder: Path, scenario: Scenario, rows: list[list[object]]) -> Impa
     return ImpactTableSource(read_impact_table(write_csv(folder / "pushes.csv", header, rows), scenario), NOMINAL)
 
 
-@pytest.fixture(scope="module", params=[("push", "parcel", "juice"), ("push_bottle", "bottle", "can")])
+@pytest.fixture(
+    scope="module",
+    params=[("push", "parcel", "juice"), pytest.param(("push_bottle", "bottle", "can"), marks=pytest.mark.slow)],
+)
 def source(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ImpactTableSource:
     name, *objects = request.param
     scenario = load_scenario(name)

@@ -120,7 +120,12 @@ def source_of(folder: Path, floating: bool, rigid: bool = True, **truth: float) 
 
 @pytest.mark.parametrize(
     ("floating", "rigid", "truth", "half_width"),
-    [(True, True, 1.25, 0.006), (False, True, 1.25, 0.007), (True, False, 1.6, 0.17), (False, False, 1.6, 0.16)],
+    [
+        pytest.param(True, True, 1.25, 0.006, marks=pytest.mark.slow),
+        (False, True, 1.25, 0.007),
+        (True, False, 1.6, 0.17),
+        pytest.param(False, False, 1.6, 0.16, marks=pytest.mark.slow),
+    ],
 )
 def test_the_mass_of_a_ball_is_named_in_a_table_of_a_tree(
     tmp_path: Path, floating: bool, rigid: bool, truth: float, half_width: float

@@ -18,7 +18,7 @@ from impact_rs_analysis.report.page import PALETTE
 
 PHONE = {"width": 390, "height": 844}  # where wide tables scroll
 MEASURED = ("analysis", "trial")
-VARIANTS = ("comparison_arms", "diagnosis_joints")  # of a kind that has one already
+RICH = ("comparison", "diagnosis", "trial")  # together they have every part of a page
 DARK = ("analysis", "diagnosis", "trial")  # together they have every colour of a page
 
 
@@ -26,8 +26,8 @@ DARK = ("analysis", "diagnosis", "trial")  # together they have every colour of 
 @pytest.mark.parametrize(
     ("kind", "scheme"),
     [
-        *((kind, "light") for kind in (*REPORTS, *MEASURED) if kind not in VARIANTS),
-        *(pytest.param(kind, "light", marks=pytest.mark.slow) for kind in VARIANTS),
+        *((kind, "light") for kind in RICH),
+        *(pytest.param(kind, "light", marks=pytest.mark.slow) for kind in (*REPORTS, *MEASURED) if kind not in RICH),
         ("limits", "dark"),  # kills: a figure with bars that is not drawn
         *(pytest.param(kind, "dark", marks=pytest.mark.slow) for kind in DARK),
     ],

@@ -127,7 +127,7 @@ def test_a_state_from_outside_the_trial_is_left_alone_and_told() -> None:
     assert "1 states with a stamp outside the trial" in bench.trial.status()[0]
 
 
-@pytest.mark.parametrize("first_ns", [1, 1_700_000_000_123_456_789])
+@pytest.mark.parametrize("first_ns", [1_700_000_000_123_456_789, pytest.param(1, marks=pytest.mark.slow)])
 def test_torques_do_not_depend_on_when_a_trial_begins(first_ns: int) -> None:
     """In ROS time the first state is tick 0; a period off in the origin would change the torques of a moving arm."""
     plain, later = Bench(), Bench(first_ns)

@@ -58,7 +58,9 @@ def remedied(arm: ArmSignals, warning: str) -> ArmSignals:
     )
 
 
-@pytest.mark.parametrize("robot", CENTRES)
+@pytest.mark.parametrize(
+    "robot", ["kinova_gen3", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ur5e", "xarm6"))]
+)
 def test_a_joint_in_another_convention_is_named_with_a_remedy_that_leaves_no_warning(robot: str) -> None:
     """Several conventions may describe one arm, so that torques decide. Kills: one of the keys."""
     mapping, model, arm = recorded(robot)
