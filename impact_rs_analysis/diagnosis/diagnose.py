@@ -31,7 +31,7 @@ from impact_rs_analysis.diagnosis.document import (
     tied_with_best,
 )
 from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of, low_confidence_sentence
-from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds, with_bounds
+from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds, check_bounds, with_bounds
 from impact_rs_analysis.diagnosis.search.budget import SEARCH_TIME_SHARE, UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.search.effect_selection import NO_OPTIMA, ProgressCallback, Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
@@ -100,8 +100,9 @@ def diagnose(
         budget: Processor time of the diagnosis; the document lists the steps that were not tried.
 
     Raises:
-        InputError: Too few conditions for a hold-out.
+        InputError: Too few conditions for a hold-out, or bounds of a parameter that does not exist.
     """
+    check_bounds(bounds, source.known_effects)
     model = source.declared_model if model is None else model
     source = with_likelier_model(source, effects_for(source, only, bounds), budget.part(SEARCH_TIME_SHARE))
     all_rows, source = source, source.searched()

@@ -34,9 +34,22 @@ def read_bounds(texts: Iterable[str], effects: Mapping[str, Effect]) -> Bounds:
         InputError: A text or file cannot be read, a parameter does not exist, or a range excludes its nominal value.
     """
     bounds = read_ranges(texts, "--bounds", EXPECTED_BOUNDS)
+    check_bounds(bounds, effects)
+    return bounds
+
+
+def check_bounds(bounds: Bounds, effects: Mapping[str, Effect]) -> None:
+    """Refuse bounds of parameters that do not exist, and ranges without the nominal value.
+
+    Args:
+        bounds: The bounds.
+        effects: Effects by name.
+
+    Raises:
+        InputError: Such bounds.
+    """
     for name, (low, high) in bounds.items():
         _check(name, low, high, effects)
-    return bounds
 
 
 def read_ranges(texts: Iterable[str], option: str, expected: str) -> dict[str, tuple[float, float]]:

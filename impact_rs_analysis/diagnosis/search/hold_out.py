@@ -157,7 +157,7 @@ def hold_out(
         item.mean if (residual := residual_of[n]) is None else residual for n, item in enumerate(source.clusters)
     )
     if any(left_out):
-        budget.add(f"all of the search in {sum(map(bool, left_out))} of {len(folds)} folds of the hold-out")
+        budget.add(f"steps of the search in {sum(map(bool, left_out))} of {len(folds)} folds of the hold-out")
     return HoldOut(tuple(folds), ordered, names, tuple(searched), failed, added)
 
 

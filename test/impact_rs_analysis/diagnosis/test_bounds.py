@@ -54,6 +54,14 @@ def test_a_file_with_other_content_is_refused(tmp_path: Path) -> None:
         read_bounds([str(path)], library())
 
 
+def test_bounds_of_an_unknown_parameter_are_refused_in_python_too(tmp_path: Path) -> None:
+    """Kills a diagnosis that ignores them."""
+    path = write_csv(tmp_path / "cubes.csv", CUBE_HEADER, cube_rows(cube(restitution=0.5), 12))
+    source = ImpactTableSource(read_impact_table(path), NOMINAL)
+    with pytest.raises(InputError, match=r"did you mean 'restitution\.restitution'"):
+        diagnose(source, NOMINAL, ["restitution"], bounds={"restitution.restitutio": (0.0, 0.3)})
+
+
 def test_a_given_range_is_not_widened_and_other_parameters_keep_theirs() -> None:
     effect = with_bounds(library()["joint_coulomb_friction"], {COULOMB: (0.0, 0.2)})
     (own,) = (parameter for parameter in effect.parameters if parameter.name == "coulomb")
