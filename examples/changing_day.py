@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.spec import TrialSpec

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop
 from impact_rs_sim.effects import library
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.spec import TrialSpec
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 CABLE = {

@@ -15,7 +15,7 @@ import json
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.cell.driver_profiles import profile_of
 from impact_rs_trials.cell.robot_states import joint_names
 from impact_rs_trials.spec import TrialSpec

@@ -17,7 +17,8 @@ from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import Manifest, TrialReport
 from impact_rs_trials.experiment_plan import SCENARIO_FILE, write_scenario

@@ -59,7 +59,8 @@ from impact_rs_sim import _kernel
 from impact_rs_sim.plant.sensors import ArmMeasurement
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RigidTerms, RobotModel
-from impact_rs_sim.scenarios.scenario import Gains, Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.trial_settings import Gains
 
 IDLE_TASK_WEIGHT = 1e-4  # of standing still over the weight of a task, for joints that no task needs [-]
 

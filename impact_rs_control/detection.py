@@ -31,7 +31,7 @@ import pinocchio as pin
 from impact_rs_sim import _kernel
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RigidTerms, RobotModel
-from impact_rs_sim.scenarios.scenario import Detection
+from impact_rs_sim.scenarios.trial_settings import Detection
 
 BASELINE_TIME_S = 0.05  # time constant of the slow part of the residual
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import Timing
+from impact_rs_sim.scenarios.trial_settings import Timing
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scenarios.object_mesh import MAX_PRODUCT_SHARE, object_mesh
-from impact_rs_sim.scenarios.scenario import ObjectSpec
+from impact_rs_sim.scenarios.object_spec import ObjectSpec
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.schema import validate
 from impact_rs_trials.bags.messages import joints_of

@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.impact_map import CONTACTS, DEFAULT_ENGINE, ENGINES, FORMER_NAMES
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import load_mapping
 from impact_rs_trials.cell.driver_profiles import DriverProfile
 

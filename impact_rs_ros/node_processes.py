@@ -17,7 +17,7 @@ from impact_rs_ros.names import full_namespace
 from impact_rs_ros.process import SUPERVISOR
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.scenarios.scenario import scenario_path
+from impact_rs_sim.scenarios.scenario_files import scenario_path
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 REFUSED_EXIT_CODE = 2  # of a node with a parameter that is not allowed; starting it again does not help

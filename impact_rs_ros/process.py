@@ -28,7 +28,8 @@ from impact_rs_ros.middleware import discovery, set_middleware
 from impact_rs_ros.qos import offered
 from impact_rs_ros.roots import below, scenario_below
 from impact_rs_sim.errors import InputError, full_traceback
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.spec import TrialSpec
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from impact_rs_sim.model import save_model as save_model
     from impact_rs_sim.physics import Physics as Physics
     from impact_rs_sim.scenarios.scenario import Scenario as Scenario
-    from impact_rs_sim.scenarios.scenario import load_scenario as load_scenario
+    from impact_rs_sim.scenarios.scenario_files import load_scenario as load_scenario
     from impact_rs_sim.scene import Scene as Scene
 
 MODULES = {
@@ -46,7 +46,8 @@ MODULES = {
     "impact_map": ("ImpactMapError", "ImpactProblem", "ImpactResult", "compute_impact_map", "settle"),
     "model": ("Model", "ModelEffect", "ParameterValue", "load_model", "save_model"),
     "physics": ("Physics",),
-    "scenarios.scenario": ("Scenario", "load_scenario"),
+    "scenarios.scenario": ("Scenario",),
+    "scenarios.scenario_files": ("load_scenario",),
     "scene": ("Scene",),
 }
 __all__ = sorted(name for names in MODULES.values() for name in names)  # noqa: PLE0605

@@ -18,7 +18,7 @@ from impact_rs_sim.robot_check import inverse_mass_matrices, link_inertias
 from impact_rs_sim.robots.drive_stability import joint_stability
 from impact_rs_sim.robots.robot import EndEffector, RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import DriveNumber
+from impact_rs_sim.scenarios.robot_spec import DriveNumber
 
 # Of a Franka arm: B_rho and K over the torque limit of its large joints, B_theta over B_rho.
 ROTOR_INERTIA = 0.6 / 87.0  # kg m^2 / (N m)

@@ -24,7 +24,8 @@ from impact_rs_sim.robots.robot import Array, EndEffector, JointType, RobotFacts
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.robots.tool_spring import ToolSpring
 from impact_rs_sim.robots.urdf import write_description
-from impact_rs_sim.scenarios.scenario import ObjectSpec, Scenario, guided_object
+from impact_rs_sim.scenarios.object_spec import ObjectSpec, guided_object
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.shapes import BOX, ConvexShape
 from impact_rs_sim.twist_readings import TwistReadings
 

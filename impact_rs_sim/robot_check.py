@@ -19,7 +19,9 @@ from impact_rs_sim.robots.drive_stability import JointStability, joint_stability
 from impact_rs_sim.robots.robot import UNITS, Array, EndEffector, Inertial, JointType, JointUnits, RobotFacts
 from impact_rs_sim.robots.robot_model import GRAVITY_M_S2, RobotModel
 from impact_rs_sim.rotations import AXES
-from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, Robot, Scenario
+from impact_rs_sim.scenarios.robot_spec import Robot
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.trial_settings import ASSUMED_MOTOR_INERTIA
 
 Outcome = Literal["ok", "warning", "failed"]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of axes, rotations as quaternions, and quaternions as angles."""
+"""Names of axes, unit vectors, rotations as quaternions, and quaternions as angles."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pinocchio as pin
 from impact_rs_sim.robots.robot import Array
 
 AXES = ("x", "y", "z")
+UNIT_TOLERANCE = 1e-6  # of the length of a unit vector [-]
 MAX_NORM_ERROR = 0.02  # of a measured unit quaternion; a tracker that lost its body sends zeros or NaN
 _ORIGIN = np.zeros(3)
 
@@ -40,3 +41,14 @@ def yaw_of_quaternions(quaternion: Array) -> Array:
         return np.zeros(quaternion.shape[:-1])
     x, y, z, w = np.moveaxis(quaternion, -1, 0)
     return np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+
+def is_unit(vector: Array | tuple[float, ...]) -> bool:
+    """Whether a vector has length 1 up to rounding."""
+    return bool(abs(np.linalg.norm(vector) - 1.0) <= UNIT_TOLERANCE)
+
+
+def check_unit(name: str, vector: tuple[float, ...]) -> None:
+    """Refuse a direction that is no unit vector."""
+    if not is_unit(vector):
+        raise ValueError(f"{name} must be a unit vector")

@@ -71,9 +71,10 @@ Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_as_tuple)]
 Matrix6 = Annotated[tuple[Vector6, Vector6, Vector6, Vector6, Vector6, Vector6], BeforeValidator(_as_tuple)]
 Vector = Annotated[tuple[float, ...], BeforeValidator(_as_tuple)]
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
 PositiveVector = Annotated[Vector, _check(lambda value: value > 0.0, "> 0")]
 NonNegativeVector = Annotated[Vector, _check(lambda value: value >= 0.0, ">= 0")]
-PositiveNumber = Annotated[float, Field(gt=0.0)]
 PositiveVector3 = Annotated[Vector3, _check(lambda value: value > 0.0, "> 0")]
 
 

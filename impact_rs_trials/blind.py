@@ -26,7 +26,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.plant import check_hidden
 from impact_rs_sim.plant.unmodelled import LAWS, OUTSIDE
 from impact_rs_sim.robots.robot import JointType
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import VIA, TrialInfo
 from impact_rs_trials.bags.writer import partial_path

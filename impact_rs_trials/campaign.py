@@ -28,7 +28,7 @@ from pydantic import Field, model_validator
 from impact_rs_control.plan import check_scale
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.plant.mechanics import Simulator
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import PositiveVector, Schema, omitted, parse_yaml, validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.record import record_trial

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.schema import PositiveNumber, Schema
+from impact_rs_sim.schema import Positive, Schema
 from impact_rs_trials.spec import TrialSpec
 
 LIMIT_ROUNDING_SHARE = 1e-9  # of a limit; a case may be designed to reach it exactly
@@ -40,11 +40,11 @@ class CellEnvelope(Schema):
     scenarios: tuple[str, ...] = Field(min_length=1, description="names of the scenarios")
     objects: tuple[str, ...] = Field((), description="names of the objects that may be hit; none: all of the scenarios")
     cases: tuple[str, ...] = Field((), description="full names of the cases; none: all of the scenarios")
-    speed: PositiveNumber = Field(description="largest reference speed of an end effector [m/s]")
-    joint_speed: PositiveNumber = Field(
+    speed: Positive = Field(description="largest reference speed of an end effector [m/s]")
+    joint_speed: Positive = Field(
         0.8, description="largest speed of a joint at the impact, over the limit of the robot [-]"
     )
-    impulse: PositiveNumber = Field(description="largest predicted impulse on the object [N s]")
+    impulse: Positive = Field(description="largest predicted impulse on the object [N s]")
 
     def complaint(self, spec: TrialSpec) -> str:
         """Reason why a trial is outside of the envelope; empty: it is inside.

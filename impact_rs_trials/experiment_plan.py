@@ -18,7 +18,8 @@ from pydantic import Field, model_validator
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.plant.mechanics import Simulator
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import Name, Schema, load, validate
 from impact_rs_trials.campaign import Manifest, PlannedTrials
 from impact_rs_trials.spec import TrialSpec

@@ -15,7 +15,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenarios.friction_compensation import ArmFriction, FrictionCompensation
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario, scenario_path
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario, scenario_path
 from impact_rs_trials.edited_yaml import edited_text, read_edited, scalar, separate
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.workers import Map

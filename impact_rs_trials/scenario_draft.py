@@ -31,7 +31,11 @@ from impact_rs_sim.robot_check import failures_of, failures_of_facts, random_pos
 from impact_rs_sim.robots.robot import Array, RobotFacts, joined_units
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scenarios.object_proposal import ProposedObject
-from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, ImpactPose, ObjectSpec, Scenario, load_scenario
+from impact_rs_sim.scenarios.object_spec import ObjectSpec
+from impact_rs_sim.scenarios.robot_spec import ImpactPose
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
+from impact_rs_sim.scenarios.trial_settings import ASSUMED_MOTOR_INERTIA
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_trials.bags.record import record_trial

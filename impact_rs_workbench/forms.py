@@ -19,7 +19,7 @@ from pydantic import AfterValidator, Field, create_model
 from impact_rs_commands import explaining, measuring, predicting
 from impact_rs_commands.declaration import NAMED, READ, WRITTEN, Command, Option
 from impact_rs_sim.errors import InputError, did_you_mean
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import Schema, validate
 from impact_rs_trials.campaign import make_manifest
 from impact_rs_trials.experiment_plan import read_plan

@@ -28,7 +28,9 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.rotations import quaternion_of
-from impact_rs_sim.scenarios.scenario import Scenario, Uncertainties, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
+from impact_rs_sim.scenarios.trial_settings import Uncertainties
 from impact_rs_sim.scene import Scene, standing
 from impact_rs_sim.schema import Schema
 

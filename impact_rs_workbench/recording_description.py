@@ -24,7 +24,8 @@ from impact_rs_analysis.application.described_folder import check_undescribed, d
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import Name, Schema, load_mapping, validate
 from impact_rs_trials.file_names import EXPERIMENT_FILE, MAPPING_FILE, RUN_TABLE
 from impact_rs_trials.recordings.checks.plausibility import check_gravity_torque

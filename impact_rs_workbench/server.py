@@ -27,7 +27,7 @@ from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.impact_map import ImpactMapError
 from impact_rs_sim.impact_map.uncertainty import Stopped
 from impact_rs_sim.model import Model, load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.store import Folder, owned
 from impact_rs_workbench import formula_editor, manual, prediction, recording_description, results

@@ -23,7 +23,7 @@ from launch_ros.substitutions import FindPackageShare
 from impact_rs_ros.names import frame_prefix, full_namespace, within
 from impact_rs_ros.node_processes import NODES, REFUSED_EXIT_CODE
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.record import descriptions
 

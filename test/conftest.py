@@ -268,7 +268,7 @@ CONSIDERED = ["support_friction"]  # few, because every effect costs twin rollou
 def hidden_campaign(made_once: MadeOnce) -> Path:
     """Six trials of a plant whose support is rougher than stated: two objects and a free motion, twice each."""
     from impact_rs_control.plan import plan_trial
-    from impact_rs_sim.scenarios.scenario import load_scenario
+    from impact_rs_sim.scenarios.scenario_files import load_scenario
     from impact_rs_sim.scene import Scene
     from impact_rs_trials.bags.record import record_trial
     from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey

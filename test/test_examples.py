@@ -28,7 +28,7 @@ from impact_rs_sim.impact_map.contacts import contact_pairs
 from impact_rs_sim.impact_map.measured import MeasuredImpact, points_that_touch, solve_measured
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene, pad_placements
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment

@@ -24,7 +24,7 @@ from packaging.specifiers import SpecifierSet
 from impact_rs_ros.middleware import CHOICES, PROFILE, set_middleware
 from impact_rs_ros.node_parameters import values_of
 from impact_rs_ros.node_processes import NODES
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.cell.driver_profiles import PROFILES, profile_of
 from impact_rs_trials.cell.robot_states import joint_names
 

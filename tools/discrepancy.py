@@ -38,7 +38,8 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.plant.mechanics import Simulator
 from impact_rs_sim.plant.plant import Plant
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.trial_info import git_revision
 from impact_rs_trials.spec import TrialSpec
 

@@ -24,7 +24,7 @@ from impact_rs_analysis.measure.design_study import (
     values_by,
 )
 from impact_rs_sim.impact_map import ImpactMapError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

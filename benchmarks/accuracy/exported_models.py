@@ -23,7 +23,7 @@ from impact_rs_sim.descriptions import FORMATS, ExportedScene
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.model import load_model
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 
 DURATION = 3e-4  # s

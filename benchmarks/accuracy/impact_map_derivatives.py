@@ -21,7 +21,7 @@ from impact_rs_sim.impact_map.laws import COMPLIANCE, newton, solve_contacts, st
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 STEPS = (1.6e-3, 4e-4, 1e-4, 2.5e-5, 6.25e-6)  # each a quarter of the one before, in units of the parameter
 TRUSTED = 3e-6  # relative, how well two differences must agree to be a measure

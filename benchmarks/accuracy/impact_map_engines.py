@@ -17,7 +17,8 @@ from benchmarks.results import Table
 from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactMapError, ImpactResult, kinetic_energy
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.robots.robot import load_facts
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.scenario_draft import draft
 
 LIMIT = 0.5  # % of the ante-impact speed, above which a reason is printed

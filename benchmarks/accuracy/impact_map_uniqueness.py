@@ -19,7 +19,7 @@ from benchmarks.results import Table
 from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import ContactTerms, build_system
 from impact_rs_sim.impact_map.uniqueness import lawful_answers, spread_of
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import pad_placements
 
 LAWFUL = 1e-6  # m/s

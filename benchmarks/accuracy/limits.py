@@ -44,7 +44,7 @@ from impact_rs_sim.impact_map.uncertainty import draw, possible, sources_of
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import reach_of
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene
 from tools.discrepancy import OBLIQUE, SQUARE, oblique
 

@@ -26,7 +26,7 @@ from impact_rs_analysis.evidence.sources.run_source import kind_of
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
 from impact_rs_sim.plant.plant import Plant
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmMotion, BodyState
 from impact_rs_sim.twin import TwinJob, simulate
 from impact_rs_trials.runs import ArmSignals, Signals

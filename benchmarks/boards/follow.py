@@ -43,7 +43,7 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.spec import TrialSpec
 

@@ -29,7 +29,8 @@ from examples.laboratory import EXPERIMENT, START, STORE, messages
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 from impact_rs_trials.blind import RUNS, TRUTH, Hidden, draw_truth, hide, named_values
 from impact_rs_trials.workers import Map

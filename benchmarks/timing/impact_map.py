@@ -9,7 +9,7 @@ import time
 from benchmarks.harness import Case, Row, Work, quantiles
 from benchmarks.results import Table
 from impact_rs_sim.impact_map import ENGINES, BulletEngine, ExactEngine, ImpactProblem
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 
 SCENARIOS = ("push", "grab")

@@ -33,7 +33,7 @@ from impact_rs_sim.impact_map.laws import System, build_system
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import quaternion_of
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import BodyState, Scene, pad_placements
 
 SCENES = ("corner", "edge", "face", "push", "grab", "grid")

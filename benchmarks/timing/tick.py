@@ -15,7 +15,7 @@ from benchmarks.results import Table
 from impact_rs_control.closed_loop import make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_control.controller import Controller
 from impact_rs_control.plan import TrialPlan, plan_trial
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 
 PARTS = {

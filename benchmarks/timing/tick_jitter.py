@@ -37,7 +37,7 @@ from impact_rs_ros.graph import Graph
 from impact_rs_ros.middleware import set_middleware
 from impact_rs_ros.qos import RECORD
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 DOMAIN_ID = 94
 CALLED = "services called"

@@ -28,7 +28,7 @@ from benchmarks.results import Table
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.middleware import set_middleware
 from impact_rs_ros.qos import COMMAND, RECORD
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.cell.effort_arms import commands_topic, watched_topic
 from impact_rs_trials.spec import TrialSpec
 

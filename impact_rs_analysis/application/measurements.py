@@ -33,7 +33,7 @@ from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANC
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.model import Model, load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.file_names import experiment_file_in
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impacts.impact_table import ImpactTable, read_impact_table

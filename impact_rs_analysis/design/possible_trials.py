@@ -15,7 +15,9 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import Case, CaseRobot, Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
+from impact_rs_sim.scenarios.trial_settings import Case, CaseRobot
 from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec

@@ -20,7 +20,7 @@ from impact_rs_analysis.investigation.prediction_check import PredictionError, P
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import Schema, SchemaType, validate
 from impact_rs_trials.campaign import Trial
 from impact_rs_trials.experiment_plan import ExperimentPlan, read_plan

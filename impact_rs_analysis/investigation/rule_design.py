@@ -9,7 +9,7 @@ from pathlib import Path
 from impact_rs_analysis.investigation.rounds import WantedTrials
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
 from impact_rs_trials.runs import label_of

@@ -36,7 +36,7 @@ from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.proportion import reach_of
 from impact_rs_sim.robots.robot import Array, Reflexes
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import Uncertainties
+from impact_rs_sim.scenarios.trial_settings import Uncertainties
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene, pad_placements
 from impact_rs_sim.twin import TwinJob, simulate
 

@@ -24,7 +24,8 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import ObjectSpec, Scenario
+from impact_rs_sim.scenarios.object_spec import ObjectSpec
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBag
 from impact_rs_trials.bags.topics import OBJECT_POSE
 from impact_rs_trials.spec import recorded_scenario

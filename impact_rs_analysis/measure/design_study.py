@@ -33,7 +33,9 @@ from impact_rs_sim.numbers import CONFIDENCE_LEVEL
 from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.robots.robot import Array, EndEffector, load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, DriveSettings, Scenario, Uncertainties
+from impact_rs_sim.scenarios.robot_spec import DriveSettings
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.trial_settings import ASSUMED_MOTOR_INERTIA, Uncertainties
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.scenario_draft import NORMAL, upright_poses
 from impact_rs_trials.workers import Map

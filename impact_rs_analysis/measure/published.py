@@ -11,7 +11,8 @@ from pydantic import Field, RootModel
 
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import load_facts
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import Schema, parse_yaml
 
 PAPER_ROBOT = "franka_fer"  # paper sec. Experimental setup

@@ -15,7 +15,7 @@ from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.names import full_namespace
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant.mechanics import Simulator
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.campaign import (
     FAILURES,
     Manifest,

@@ -20,7 +20,7 @@ from impact_rs_cli.commands.diagnose import check_effects
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import load
 from impact_rs_trials.blind import Secret
 from impact_rs_trials.envelope import CellEnvelope

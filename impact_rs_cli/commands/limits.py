@@ -19,7 +19,7 @@ from impact_rs_cli.arguments import settings_of, started_workers
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -21,7 +21,8 @@ from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_o
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.numbers import CONFIDENCE_LEVEL, estimate_text
 from impact_rs_sim.physics import assumed_words
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.map_table import answer_table, check_answers, write_answers
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table

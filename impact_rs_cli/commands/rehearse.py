@@ -14,7 +14,7 @@ from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.node_parameters import values_for, values_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Reflexes, RobotFacts
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.cell.cell_rehearsal import Checklist, rehearse
 from impact_rs_trials.cell.driver_profiles import profile_of
 from impact_rs_trials.spec import TrialSpec

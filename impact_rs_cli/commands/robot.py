@@ -14,7 +14,7 @@ from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.robot_check import check_drives, check_facts
 from impact_rs_sim.robots.robot import load_facts
 from impact_rs_sim.robots.robot_import import import_urdf, save_facts
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.recordings.importing.measured_limits import measured_limits
 
 

@@ -18,7 +18,7 @@ from impact_rs_analysis.report.page_names import DESIGNS_TABLE
 from impact_rs_cli.arguments import started_workers
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.numbers import CONFIDENCE_LEVEL
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 MAX_SHOWN_DESIGNS = 8  # all are in the file
 

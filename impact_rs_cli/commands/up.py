@@ -13,7 +13,7 @@ from impact_rs_cli.arguments import check_robots
 from impact_rs_cli.terminal import Terminal
 from impact_rs_ros.graph import Graph, GraphError
 from impact_rs_ros.names import full_namespace, within
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

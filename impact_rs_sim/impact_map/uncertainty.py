@@ -36,7 +36,7 @@ from impact_rs_sim.numbers import CONFIDENCE_LEVEL, NORMAL_95
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.rotations import AXES
-from impact_rs_sim.scenarios.scenario import Uncertainties
+from impact_rs_sim.scenarios.trial_settings import Uncertainties
 
 # Largest share of draws in other contact states, or beyond the range of a parameter, with a linear interval [-]
 SWITCHES = 0.02

@@ -25,7 +25,8 @@ from impact_rs_sim.plant.mechanics import Mechanics, Simulator
 from impact_rs_sim.plant.sensors import ArmMeasurement, ArmSensors, ObjectMeasurement, ObjectTracker
 from impact_rs_sim.plant.twin_mechanics import TwinMechanics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import Scatter, Scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.trial_settings import Scatter
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 
 Tracked = TypeVar("Tracked", ObjectMeasurement, BodyState)

@@ -11,7 +11,7 @@ import pinocchio as pin
 from impact_rs_sim.readings import EXACT, ArmReadings, Filter, TrackerReadings
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.rotations import quaternion_of
-from impact_rs_sim.scenarios.scenario import Sensors
+from impact_rs_sim.scenarios.trial_settings import Sensors
 from impact_rs_sim.scene import ArmMotion
 
 

@@ -33,7 +33,7 @@ from impact_rs_sim.scenarios.object_mesh import (
     read_object_mesh,
     triangles_of,
 )
-from impact_rs_sim.scenarios.scenario import ObjectSpec
+from impact_rs_sim.scenarios.object_spec import ObjectSpec
 from impact_rs_sim.schema import validate
 from impact_rs_sim.shapes import ConvexShape, Kind
 
@@ -48,7 +48,7 @@ class ProposedObject:
 
     Attributes:
         name: Its key.
-        spec: Its keys (:class:`~impact_rs_sim.scenarios.scenario.ObjectSpec`).
+        spec: Its keys (:class:`~impact_rs_sim.scenarios.object_spec.ObjectSpec`).
         origins: Sources of shape, mass and inertia, as text.
     """
 

@@ -24,8 +24,9 @@ from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.physics import ObjectPhysics
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
-from impact_rs_sim.schema import PositiveNumber, PositiveVector3, Schema, Vector3, load
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
+from impact_rs_sim.schema import Positive, PositiveVector3, Schema, Vector3, load
 from impact_rs_sim.shapes import check_extents
 from impact_rs_trials.file_names import EXPERIMENT_FILE, RUN_TABLE
 from impact_rs_trials.recordings.free_bodies import body_of_mesh, body_of_shape
@@ -76,7 +77,7 @@ class MotionCapture(FramePlacement):
 class Body(Schema):
     """A body without a robot that hits a fixed plane."""
 
-    mass: PositiveNumber = Field(description="mass [kg]")
+    mass: Positive = Field(description="mass [kg]")
     shape: Literal["box", "sphere", "capsule", "cylinder"] = Field(
         "box", description="shape with the extents size; capsule and cylinder have the axis z [-]"
     )
@@ -86,7 +87,7 @@ class Body(Schema):
         "absent, centre of mass and inertia (even density)",
     )
     size: PositiveVector3 | None = Field(None, description="extent along its own axes [m]")
-    radius: PositiveNumber | None = Field(None, description="radius of a ball [m]")
+    radius: Positive | None = Field(None, description="radius of a ball [m]")
     shell: bool = Field(False, description="whether a ball is hollow, 2/3 m r^2; else solid, 2/5 m r^2")
     inertia: PositiveVector3 | None = Field(
         None,

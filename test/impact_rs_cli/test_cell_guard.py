@@ -25,7 +25,7 @@ from impact_rs_cli.node_benches import CellBench, NodesBench
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.blind import Secret
 from impact_rs_trials.campaign import PlannedTrials, TrialReport
 from impact_rs_trials.envelope import CellEnvelope

@@ -23,7 +23,7 @@ from impact_rs_cli.main import main
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, read_plan, write_plan, write_scenario

@@ -14,7 +14,7 @@ from impact_rs_analysis.application.plant_bench import PlantBench
 from impact_rs_analysis.investigation.endings import Ending
 from impact_rs_cli.main import main
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.blind import Secret
 from impact_rs_trials.experiment_plan import write_scenario
 

@@ -40,7 +40,7 @@ from impact_rs_sim.model import load_model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import load_facts
 from impact_rs_sim.robots.robot_import import import_urdf
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag

@@ -22,7 +22,7 @@ from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.plant.sensors import ArmMeasurement
 from impact_rs_sim.robots.robot import Link, RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState, Scene
 from impact_rs_trials.bags.outcome import TickLog, Verdict, judge
 

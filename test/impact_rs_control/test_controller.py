@@ -26,7 +26,7 @@ from impact_rs_sim import _kernel
 from impact_rs_sim.plant.sensors import ArmMeasurement
 from impact_rs_sim.robots.robot import Limits
 from impact_rs_sim.robots.robot_model import RigidTerms
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 
 # ---- controller -----------------------------------------------------------------------------------------------------

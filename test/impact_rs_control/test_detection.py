@@ -13,7 +13,7 @@ from trials import scene_of
 from impact_rs_control.detection import BASELINE_TIME_S, ImpactDetector, separable_wrench
 from impact_rs_sim import _kernel
 from impact_rs_sim.robots.robot_model import RigidTerms
-from impact_rs_sim.scenarios.scenario import Detection
+from impact_rs_sim.scenarios.trial_settings import Detection
 
 SCENE = scene_of("push", "cat_food", "case_2")
 MODEL = SCENE.models["arm"]

@@ -15,7 +15,7 @@ from impact_rs_control.plan import plan_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.scenarios.friction_compensation import FrictionCompensation
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 

@@ -17,7 +17,8 @@ from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenarios.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.spec import TrialSpec
 

@@ -15,7 +15,7 @@ from impact_rs_control.references import (
     run_up_path,
     sample_path,
 )
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 POSITION = np.array([0.4, -0.1, 0.5])
 VELOCITY = np.array([0.0, -0.7, 0.05])

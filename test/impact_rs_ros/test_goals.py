@@ -16,7 +16,7 @@ from rclpy.action import GoalResponse
 from impact_rs_ros.experiment_node import ExperimentNode
 from impact_rs_ros.roots import below, scenario_below
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 TRIAL = {"object_name": "cat_food", "case_name": "2"}

@@ -37,7 +37,7 @@ from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import ObjectPhysics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 from impact_rs_sim.shapes import CAPSULE, hull_of
 

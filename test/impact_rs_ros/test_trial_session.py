@@ -26,7 +26,7 @@ from impact_rs_ros.presence import announce
 from impact_rs_ros.process import close_goal
 from impact_rs_ros.qos import LATCHED
 from impact_rs_ros.trial_session import MEMBERS, Progress, TrialError, TrialSession
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialKey
 from impact_rs_trials.spec import TrialSpec

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.impact_map import ImpactProblem, ImpactResult
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
 ENGINES = ("bullet", "exact")

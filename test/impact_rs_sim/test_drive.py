@@ -18,7 +18,7 @@ from impact_rs_sim.plant.bullet_world import BulletWorld
 from impact_rs_sim.robots.drive_stability import joint_stability, spectral_radius
 from impact_rs_sim.robots.robot import RobotFacts, load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState
 
 # ---- the torque loop ------------------------------------------------------------------------------------------------

@@ -22,7 +22,8 @@ from impact_rs_sim.impact_map.derivatives import differentiate, parameters_of
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import ObjectSpec, load_scenario
+from impact_rs_sim.scenarios.object_spec import ObjectSpec
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 from impact_rs_sim.shapes import SPHERE
 

@@ -17,7 +17,7 @@ from impact_rs_analysis.evidence.replays.simulated_trials import quiet  # noqa: 
 from impact_rs_control.closed_loop import make_plant, run_closed_loop  # noqa: E402
 from impact_rs_control.plan import plan_trial  # noqa: E402
 from impact_rs_sim.effects import library  # noqa: E402
-from impact_rs_sim.scenarios.scenario import load_scenario  # noqa: E402
+from impact_rs_sim.scenarios.scenario_files import load_scenario  # noqa: E402
 from impact_rs_sim.scene import Scene  # noqa: E402
 
 STEP = cell_module.STEP

@@ -31,7 +31,8 @@ from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.plant.unmodelled import LooseContents
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import Scenario, Uncertainties
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.trial_settings import Uncertainties
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import validate
 from impact_rs_sim.shapes import SPHERE

@@ -19,7 +19,8 @@ from impact_rs_sim.impact_map.uncertainty import (
     predict,
     sources_of,
 )
-from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, Uncertainties, load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
+from impact_rs_sim.scenarios.trial_settings import ASSUMED_MOTOR_INERTIA, Uncertainties
 from impact_rs_sim.scene import Scene
 
 NONE = dict.fromkeys(Uncertainties.model_fields, 0.0)

@@ -29,7 +29,7 @@ from impact_rs_sim.plant.plant import SIMULATORS, PlantExtension
 from impact_rs_sim.plant.twin_mechanics import TwinMechanics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import STANDARD_GRAVITY
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.twin import Result, TwinJob, rests, simulate
 
@@ -419,7 +419,7 @@ HIT = """
 import numpy as np
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.impact_map import ImpactProblem
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.twin import TwinJob, simulate
 

@@ -16,7 +16,9 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
 from impact_rs_sim.plant.twin_mechanics import TwinMechanics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import Base, Scenario, load_scenario
+from impact_rs_sim.scenarios.robot_spec import Base
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
 PUSH = load_scenario("push")

@@ -21,7 +21,8 @@ from impact_rs_sim.model import load_model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.scenarios.object_mesh import MAX_CORNERS, object_mesh, read_object_mesh
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.shapes import hull_of
 

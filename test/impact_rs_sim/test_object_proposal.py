@@ -11,7 +11,7 @@ import scipy
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenarios.object_proposal import ASSUMED_DENSITY_KG_M3, ProposedObject, propose_object
-from impact_rs_sim.scenarios.scenario import ObjectSpec
+from impact_rs_sim.scenarios.object_spec import ObjectSpec
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 

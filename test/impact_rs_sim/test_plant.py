@@ -26,7 +26,7 @@ from impact_rs_sim.plant.unmodelled import (
     HiddenLaw,
     TorqueRipple,
 )
-from impact_rs_sim.scenarios.scenario import Sensors
+from impact_rs_sim.scenarios.trial_settings import Sensors
 from impact_rs_sim.scene import ArmMotion, ArmState
 
 # ---- the plant ------------------------------------------------------------------------------------------------------

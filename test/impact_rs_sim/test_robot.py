@@ -29,7 +29,8 @@ from impact_rs_sim.robot_check import (
 )
 from impact_rs_sim.robots.robot import EndEffector, Flange, Link, RobotFacts, load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 # ---- facts ----------------------------------------------------------------------------------------------------------
 

@@ -26,7 +26,8 @@ from impact_rs_sim.robots.bodies import ellipsoid_contains, inertia_of, is_physi
 from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.robots.urdf import write_urdf
-from impact_rs_sim.scenarios.scenario import DriveSettings, load_scenario
+from impact_rs_sim.scenarios.robot_spec import DriveSettings
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState
 
 # ---- the rigid model ------------------------------------------------------------------------------------------------

@@ -16,8 +16,10 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import load_facts
 from impact_rs_sim.scenarios.friction_compensation import TASKS
-from impact_rs_sim.scenarios.scenario import Gains, Scenario, Timing, load_scenario, scenario_path
+from impact_rs_sim.scenarios.scenario import Scenario
 from impact_rs_sim.scenarios.scenario_docs import markdown
+from impact_rs_sim.scenarios.scenario_files import load_scenario, scenario_path
+from impact_rs_sim.scenarios.trial_settings import Gains, Timing
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import validate
 

@@ -17,7 +17,9 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, JointFriction, Load, LoadState, Physics
 from impact_rs_sim.robots.robot import SigmoidFriction
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import CaseRobot, Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
+from impact_rs_sim.scenarios.trial_settings import CaseRobot
 from impact_rs_sim.scene import BodyState, Scene, _impact_velocity
 
 # ---- scene ----------------------------------------------------------------------------------------------------------

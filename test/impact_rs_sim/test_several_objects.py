@@ -19,7 +19,7 @@ from impact_rs_sim.impact_map.problem import ImpactResult, check_problem
 from impact_rs_sim.physics import Neighbour, ObjectPhysics, Physics
 from impact_rs_sim.plant.bullet_world import BulletWorld
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.shapes import SPHERE, ConvexShape, hull_of
 

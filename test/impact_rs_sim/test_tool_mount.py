@@ -17,7 +17,7 @@ from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
 from impact_rs_sim.plant.bullet_world import mass_matrices
 from impact_rs_sim.plant.twin_mechanics import TwinMechanics
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState, Scene
 from impact_rs_sim.shapes import SPHERE
 

@@ -18,7 +18,8 @@ from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.tool_spring import ToolSpring, about, is_a_spring
-from impact_rs_sim.scenarios.scenario import ToolCompliance, load_scenario
+from impact_rs_sim.scenarios.robot_spec import ToolCompliance
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_sim.shapes import SPHERE
 from impact_rs_sim.twin import Result

@@ -18,7 +18,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Neighbour, Physics
 from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 from impact_rs_sim.twin import TwinJob, simulate
 

@@ -18,7 +18,7 @@ from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Load, LoadState, Physics
 from impact_rs_sim.plant.bullet_mechanics import BulletMechanics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 from impact_rs_sim.twin import Result, TwinJob, simulate
 

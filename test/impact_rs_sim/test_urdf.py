@@ -15,7 +15,7 @@ from impact_rs_sim.robots.link_shapes import Shape, link_shapes
 from impact_rs_sim.robots.mesh_files import mesh_address, mesh_path
 from impact_rs_sim.robots.robot import Flange, RobotFacts, load_facts
 from impact_rs_sim.robots.urdf import write_urdf
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 # ---- what is written ------------------------------------------------------------------------------------------------
 

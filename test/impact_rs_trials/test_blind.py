@@ -11,7 +11,7 @@ from trials import nominal_physics
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant.unmodelled import OUTSIDE
-from impact_rs_sim.scenarios.scenario import scenario_path
+from impact_rs_sim.scenarios.scenario_files import scenario_path
 from impact_rs_trials.blind import RUNS, SIZES, TRUTH, Secret, draw, draw_outside, draw_truth, hide, make, specs, tasks
 
 

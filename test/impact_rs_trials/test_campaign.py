@@ -13,7 +13,7 @@ import pytest
 from trials import BRIEF, made_up
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.reader import OF_THE_TWIN, TrialBag
 from impact_rs_trials.bags.writer import BagWriter, partial_path
 from impact_rs_trials.campaign import (

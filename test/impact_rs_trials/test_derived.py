@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from impact_rs_control.closed_loop import make_plant
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.derived import DerivedMessages
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes

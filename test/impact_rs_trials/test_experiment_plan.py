@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.campaign import Manifest
 from impact_rs_trials.experiment_plan import (
     SCENARIO_FILE,

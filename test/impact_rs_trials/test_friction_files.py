@@ -11,7 +11,7 @@ from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenarios.friction_compensation import FrictionCompensation
-from impact_rs_sim.scenarios.scenario import load_scenario, scenario_path
+from impact_rs_sim.scenarios.scenario_files import load_scenario, scenario_path
 from impact_rs_trials import friction_files
 from impact_rs_trials.campaign import make_manifest
 from impact_rs_trials.friction_files import identify, prepare_output, write_compensation

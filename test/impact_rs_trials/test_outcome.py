@@ -15,7 +15,7 @@ from impact_rs_control.closed_loop import RUNAWAY, make_plant, run_closed_loop
 from impact_rs_control.controller import Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.outcome import MAX_SUNK_SHARE, ArmRecord, TickLog, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import JointColumns, PoseColumns, TrialBag
 from impact_rs_trials.spec import TrialSpec

@@ -12,7 +12,8 @@ from impact_rs_sim.robot_check import check_drives, empty_flange
 from impact_rs_sim.robots.robot import load_facts
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_sim.scenarios.object_proposal import ProposedObject, propose_object
-from impact_rs_sim.scenarios.scenario import ASSUMED_MOTOR_INERTIA, load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
+from impact_rs_sim.scenarios.trial_settings import ASSUMED_MOTOR_INERTIA
 from impact_rs_trials import scenario_draft
 from impact_rs_trials.scenario_draft import Draft, Pose, draft, scenario_text
 from impact_rs_trials.spec import TrialSpec

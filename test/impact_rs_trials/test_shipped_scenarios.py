@@ -17,7 +17,8 @@ from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.robot_check import failures_of
-from impact_rs_sim.scenarios.scenario import Uncertainties, load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
+from impact_rs_sim.scenarios.trial_settings import Uncertainties
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.envelope import CellEnvelope, demand_of
 from impact_rs_trials.spec import TrialSpec, recorded_scenario
 

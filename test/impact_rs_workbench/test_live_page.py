@@ -13,7 +13,7 @@ from mixed_grab import MIXED
 from starlette.testclient import TestClient
 
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.snapshot import IdentifyMessages, Snapshot
 from impact_rs_workbench.live_page import LiveView, application, drawn_scene, followed_of, state_of, status_text
 

@@ -18,7 +18,7 @@ from mixed_grab import FILE
 from page_steps import command, go, predicted, start
 from playwright.sync_api import Page, expect
 
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.experiment_plan import write_scenario
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_workbench.prediction import (
     MapQuery,
     answer,

@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.recordings.experiment import load_experiment, read_runs
 from impact_rs_trials.recordings.laboratory import read_laboratory
 from impact_rs_trials.runs import Run

@@ -44,7 +44,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from impact_msgs_py.conversions import pose_to_message
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 LIFETIME = 240.0  # s of the robot's time, which the cell draws its noise for; longer than any test

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from impact_rs_ros.message_types import RosidlTypes, message_type
 from impact_rs_ros.names import on_network
 from impact_rs_ros.qos import LATCHED, STREAM
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey

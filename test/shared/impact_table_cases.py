@@ -18,7 +18,7 @@ from impact_rs_sim.impact_map.measured import (
     solve_measured,
 )
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
 UP = np.array([0.0, 0.0, 1.0])

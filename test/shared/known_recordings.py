@@ -14,7 +14,7 @@ from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.cdr import Template
 from impact_rs_trials.bags.types import typestore
 

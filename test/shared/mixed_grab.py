@@ -10,7 +10,7 @@ from impact_rs_sim.effects.each_arm import of_each
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 FILE = str(Path(__file__).with_suffix(".yaml"))
 MIXED = load_scenario(FILE)

@@ -39,7 +39,7 @@ from impact_rs_analysis.report.paper_figures import write_paper
 from impact_rs_analysis.report.rehearsal import write_rehearsal
 from impact_rs_analysis.report.speed_limits import write_limits
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.checked_bound import CheckedBound
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedPair, write_plan

@@ -11,7 +11,7 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.cell.effort_arms import EffortArms
 from impact_rs_trials.cell.robot_states import RobotStates, joint_names

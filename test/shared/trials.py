@@ -9,7 +9,7 @@ from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.plant import Truth
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags.outcome import Verdict
 from impact_rs_trials.bags.record import record_trial

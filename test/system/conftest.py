@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 
 @pytest.fixture(scope="session")

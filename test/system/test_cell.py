@@ -30,7 +30,7 @@ from impact_rs_ros.graph import Graph
 from impact_rs_ros.node_processes import NodeProcesses
 from impact_rs_ros.qos import AWAITED, STREAM
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.spec import TrialSpec

@@ -33,7 +33,7 @@ from impact_rs_ros.node_processes import NODES, NodeProcesses
 from impact_rs_ros.qos import WATCH
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import FAILURES, make_manifest

@@ -25,7 +25,7 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robots.robot import load_facts
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.record import record_trial

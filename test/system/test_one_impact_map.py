@@ -18,7 +18,7 @@ from impact_rs_cli.main import main
 from impact_rs_control.plan import plan_trial
 from impact_rs_ros.graph import Graph
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, predict_impact
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_workbench.prediction import MapQuery, answer
 

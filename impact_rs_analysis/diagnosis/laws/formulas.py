@@ -11,7 +11,7 @@ import numpy as np
 from impact_rs_sim.effects.formula import FormulaEffect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 
 

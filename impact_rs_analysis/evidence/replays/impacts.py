@@ -14,7 +14,7 @@ from impact_rs_control.detection import ImpactDetector
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import Detection
+from impact_rs_sim.scenarios.trial_settings import Detection
 from impact_rs_trials.runs import Run
 
 OBSERVER_GAIN_1_S = 500.0  # of the momentum observer

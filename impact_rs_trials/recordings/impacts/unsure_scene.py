@@ -24,7 +24,8 @@ from typing import Any
 
 from impact_rs_sim.impact_map.measured import SUPPORT_FRICTION
 from impact_rs_sim.rotations import AXES
-from impact_rs_sim.scenarios.scenario import Robot, Scenario
+from impact_rs_sim.scenarios.robot_spec import Robot
+from impact_rs_sim.scenarios.scenario import Scenario
 
 _TOOL_UNITS: dict[str, str] = {"tool_mass": "kg", "tool_length": "m", "pad_x": "m", "pad_y": "m"}
 _OFFSET = re.compile(r"(?:joint(?P<joint>[0-9]+)|flange)_(?P<axis>[xyz])")

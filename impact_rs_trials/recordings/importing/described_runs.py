@@ -11,7 +11,7 @@ from typing import Any
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import RobotFacts
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.file_names import RUN_TABLE
 from impact_rs_trials.recordings.checks.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.importing.file_groups import OBJECT, FileGroups

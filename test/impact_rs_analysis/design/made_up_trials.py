@@ -12,7 +12,7 @@ from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.possible_trials import PossibleTrial
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.experiment_plan import Aim
 from impact_rs_trials.spec import TrialSpec
 

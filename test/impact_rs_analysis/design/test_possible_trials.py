@@ -6,7 +6,7 @@ import pytest
 
 from impact_rs_analysis.design.possible_trials import Envelope, PossibleTrial, possible_trials
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.envelope import CellEnvelope
 
 

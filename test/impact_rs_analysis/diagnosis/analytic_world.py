@@ -20,7 +20,7 @@ from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 FEATURES = 40
 FLOOR = 0.3  # relevance limit, in multiples of the noise

@@ -30,7 +30,7 @@ from impact_rs_analysis.evidence.source import Covariate
 from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_analysis.evidence.tables.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 OF_SESSION = "straight by level of session"

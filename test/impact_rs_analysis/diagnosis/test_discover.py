@@ -34,7 +34,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant.unmodelled import LAWS
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey

@@ -25,7 +25,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robots.robot import EndEffector
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings

@@ -22,7 +22,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from impact_rs_analysis.evidence.sources.table_source import ImpactTableSource
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robots.robot import Array
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.runs import ArmSignals, Run
 from impact_rs_trials.spec import TrialSpec
 

@@ -19,7 +19,7 @@ from impact_rs_analysis.report.plots import residual_maps
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 FEATURES = tuple(Feature("impact", "velocity", "x", number, "m/s", 0.01) for number in range(50))
 

@@ -17,7 +17,7 @@ from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_analysis.measure.departure import MAX_CONTACT_DISTANCE_M, departures
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import VIA, TrialInfo, TrialKey

@@ -33,7 +33,7 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.contacts import SUPPORT, contact_pairs
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.reader import OF_THE_TWIN
 from impact_rs_trials.campaign import make_manifest, run_one
 from impact_rs_trials.recordings.experiment import load_experiment

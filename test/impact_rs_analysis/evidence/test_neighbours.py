@@ -22,7 +22,7 @@ from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import VIA, TrialInfo, TrialKey
 from impact_rs_trials.runs import Run

@@ -19,7 +19,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.measured import MeasuredImpacts
 from impact_rs_sim.model import load_model
 from impact_rs_sim.numbers import NORMAL_95
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 
 NOMINAL = load_model(Path("nominal"))

@@ -17,7 +17,8 @@ from impact_rs_control.closed_loop import run_closed_loop
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 from impact_rs_sim.plant.plant import Plant
-from impact_rs_sim.scenarios.scenario import Scenario, load_scenario
+from impact_rs_sim.scenarios.scenario import Scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
 from impact_rs_trials.spec import TrialSpec

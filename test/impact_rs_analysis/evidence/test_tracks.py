@@ -26,7 +26,7 @@ from impact_rs_analysis.evidence.tracks import (
     track_of_run,
 )
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.types import typestore

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.evidence.visited import measured_ranges
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 from impact_rs_trials.spec import TrialSpec
 

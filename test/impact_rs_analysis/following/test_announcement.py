@@ -12,7 +12,7 @@ from impact_rs_analysis.following.documents import Followed
 from impact_rs_analysis.following.proposals import ProposedMeasurement, measurement_words, most_decisive
 from impact_rs_sim.effects import library
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 PUSH = load_scenario("push")
 JUICE, PARCEL = (Physics.nominal(PUSH, name) for name in ("juice", "parcel"))

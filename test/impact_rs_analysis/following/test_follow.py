@@ -27,7 +27,7 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model, save_model
 from impact_rs_sim.numbers import NORMAL_95
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import VIA, TrialInfo
 from impact_rs_trials.campaign import Trial

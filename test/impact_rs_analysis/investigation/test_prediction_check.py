@@ -13,7 +13,7 @@ from impact_rs_analysis.evidence.replays.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.sources.run_source import ReplaySource
 from impact_rs_analysis.investigation.prediction_check import ImpactPrediction, Predictions, predicted, prediction_error
 from impact_rs_sim.model import load_model
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 PARCEL = TrialSpec.of(load_scenario("push"), "parcel", "case_1")

@@ -12,7 +12,7 @@ from benchmarks.accuracy.limits import hit  # noqa: E402
 from impact_rs_analysis.limits.drawn_hits import JUMP_SHARES, Hits, drawn, touching  # noqa: E402
 from impact_rs_analysis.limits.hit_bounds import Thresholds  # noqa: E402
 from impact_rs_sim.proportion import reach_of  # noqa: E402
-from impact_rs_sim.scenarios.scenario import load_scenario  # noqa: E402
+from impact_rs_sim.scenarios.scenario_files import load_scenario  # noqa: E402
 from impact_rs_sim.scene import Scene  # noqa: E402
 
 

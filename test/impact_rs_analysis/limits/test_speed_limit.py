@@ -21,7 +21,8 @@ from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.proportion import reach_of
-from impact_rs_sim.scenarios.scenario import Uncertainties, load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
+from impact_rs_sim.scenarios.trial_settings import Uncertainties
 from impact_rs_sim.scene import ArmMotion, Scene
 
 FRICTIONLESS = {"contact.friction": 0.0, "support.friction": 0.0}

@@ -20,7 +20,7 @@ from impact_rs_analysis.report.figures import figures_of
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.topics import TRIAL_INFO, TRUTH
 from impact_rs_trials.recordings.recording import is_foreign

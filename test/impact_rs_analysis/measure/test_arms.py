@@ -19,7 +19,7 @@ from impact_rs_analysis.report.analysis import arm_rows, write_analysis_report
 from impact_rs_analysis.report.comparison import joint_tables
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import load_facts
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.campaign import make_manifest, run_campaign
 
 

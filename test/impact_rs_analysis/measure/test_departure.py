@@ -26,7 +26,8 @@ from impact_rs_analysis.measure.departure import (
 from impact_rs_analysis.report.analysis import write_analysis_report
 from impact_rs_cli.main import main
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.scenarios.scenario import ObjectSpec, load_scenario
+from impact_rs_sim.scenarios.object_spec import ObjectSpec
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBag
 from impact_rs_trials.bags.topics import OBJECT_POSE, TRUTH_OBJECT_POSE
 from impact_rs_trials.campaign import make_manifest, run_campaign

@@ -25,7 +25,7 @@ from impact_rs_analysis.measure.design_study import (
 )
 from impact_rs_analysis.report.design_page import design_table, write_design_study
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 CONDITIONS = DesignConditions(load_scenario("push"), "cat_food", pads=("narrow", "bouncy"), draws=8)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.measure.net_feedback import MAX_GAP_S, net_feedback, zero_order_hold_integral
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.trial_info import OUTCOMES
 

@@ -18,7 +18,7 @@ from impact_rs_analysis.measure.predictions import predict, prediction_interval
 from impact_rs_cli.main import main
 from impact_rs_sim.impact_map import CONTACTS, ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 
 PUSH = load_scenario("push")

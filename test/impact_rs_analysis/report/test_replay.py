@@ -27,7 +27,7 @@ from impact_rs_analysis.report.scene_3d import described_scene
 from impact_rs_cli.main import main
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robots.robot import Mesh
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.spec import TrialSpec
 

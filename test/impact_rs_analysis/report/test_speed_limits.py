@@ -10,7 +10,7 @@ from pathlib import Path
 from reports import LIMIT
 
 from impact_rs_analysis.report.speed_limits import write_limits
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 
 def test_a_scene_without_a_limit_is_said_in_words(tmp_path: Path) -> None:

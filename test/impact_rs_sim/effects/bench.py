@@ -22,7 +22,7 @@ from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
 from impact_rs_sim.plant.plant import Plant
 from impact_rs_sim.robots.robot import Array, EndEffector, RobotFacts
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import BodyState
 
 UP = (0.0, 0.0, 0.0)  # roll, pitch, yaw of the joint in the base [rad]

@@ -18,7 +18,7 @@ from impact_rs_sim.effects import BUILT_IN, ArmEffect, Effect, Parameter, librar
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import JointFriction, Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 NAMES = [effect.name for effect in BUILT_IN]

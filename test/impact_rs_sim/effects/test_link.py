@@ -32,7 +32,7 @@ from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robots.bodies import inertia_of, is_physically_consistent, second_moments
 from impact_rs_sim.robots.robot import Array
 from impact_rs_sim.robots.robot_model import mounted_inertia
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.recordings.mapping import load_mapping
 

@@ -22,7 +22,7 @@ from bench import (
 
 from impact_rs_sim.effects import library
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 
 # ---- object ---------------------------------------------------------------------------------------------------------
 

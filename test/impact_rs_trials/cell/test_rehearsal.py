@@ -16,7 +16,7 @@ from impact_rs_ros.node_parameters import defaults_of, values_for
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant.sensors import ArmMeasurement
 from impact_rs_sim.robots.robot import Reflexes
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.cell import cell_rehearsal
 from impact_rs_trials.cell.cell_rehearsal import Checklist, ExternalTorque, StandIn, VirtualTime, rehearse
 from impact_rs_trials.cell.driver_profiles import PROFILES, DriverProfile, profile_of

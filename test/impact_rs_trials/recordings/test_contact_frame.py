@@ -14,7 +14,7 @@ from known_recordings import ARM
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot_model import RobotModel
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.recordings.checks.plausibility import (
     check_gravity_torque,

@@ -18,7 +18,7 @@ from shape_tosses import PYRAMID_COM, moments, write_pyramid
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenarios.scenario import load_scenario
+from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.map_table import answer_table, write_answers
 from impact_rs_trials.recordings.impacts.impact_checks import warnings_of
 from impact_rs_trials.recordings.impacts.impact_columns import documentation
