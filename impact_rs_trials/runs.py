@@ -2,7 +2,7 @@
 """Runs: signals of arms and object over time, measured or simulated, with their scene.
 
 Every reader returns a :class:`Run`: :meth:`~impact_rs_trials.bags.reader.TrialBag.run` for trials made here,
-:func:`~impact_rs_trials.recordings.laboratory.read_laboratory` for runs of another controller,
+:func:`~impact_rs_trials.recordings.laboratory_runs.read_laboratory` for runs of another controller,
 :func:`~impact_rs_trials.recordings.recording.read_recordings` for free motion without a scene. Simulation returns
 :class:`Signals`.
 """

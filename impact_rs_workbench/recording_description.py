@@ -48,7 +48,8 @@ from impact_rs_trials.recordings.importing.candidates import (
 )
 from impact_rs_trials.recordings.importing.import_recordings import ImportOptions, draft_import
 from impact_rs_trials.recordings.importing.import_texts import PossibleReading
-from impact_rs_trials.recordings.laboratory import MAX_IMPACT_SHARE, Laboratory, read_run, with_tracker_frame
+from impact_rs_trials.recordings.laboratory import Laboratory
+from impact_rs_trials.recordings.laboratory_runs import MAX_IMPACT_SHARE, read_run, with_tracker_frame
 from impact_rs_trials.recordings.mapping import (
     JOINT_SIGNALS,
     QUANTITY,

@@ -33,7 +33,7 @@ from impact_rs_sim.scene import Scene, pad_placements
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impacts.impact_table import read_impact_table
-from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.recordings.laboratory_runs import read_laboratory
 from impact_rs_trials.spec import TrialSpec
 
 LONG = ("ball_bounces", "cube_tosses", "draw_robot", "foreign_plant")  # beside files, nodes or views of others, in full

@@ -13,7 +13,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.file_names import experiment_file_in
 from impact_rs_trials.recordings.experiment import load_experiment, read_runs
-from impact_rs_trials.recordings.laboratory import Laboratory, read_one
+from impact_rs_trials.recordings.laboratory import Laboratory
+from impact_rs_trials.recordings.laboratory_runs import read_one
 from impact_rs_trials.runs import Run
 from impact_rs_trials.store import is_bag
 from impact_rs_trials.workers import Map

@@ -19,7 +19,7 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenarios.scenario_files import load_scenario
 from impact_rs_trials.recordings.experiment import load_experiment, read_runs
-from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.recordings.laboratory_runs import read_laboratory
 from impact_rs_trials.runs import Run
 
 KNOWN = Signals.known()

@@ -16,7 +16,7 @@ from impact_rs_analysis.evidence.replays.replay import FREE_WINDOW_S, free_start
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot import Array
 from impact_rs_trials.recordings.experiment import Experiment
-from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.recordings.laboratory_runs import read_laboratory
 from impact_rs_trials.recordings.remarks import merged, remark
 from impact_rs_trials.runs import ArmSignals, Run
 from impact_rs_trials.workers import Map

@@ -34,14 +34,11 @@ from impact_rs_trials.recordings.impacts.contact_onset import onset_of
 from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup
 from impact_rs_trials.recordings.impacts.impact_rows import BY_SLIDING_DISTANCE, Impact, NoRow
 from impact_rs_trials.recordings.impacts.motion_fits import MAX_REST_SIGMA, FittedMotion, contact_noise, fly, move, rest
-from impact_rs_trials.recordings.laboratory import (
-    MIN_POSE_RATE_HZ,
-    ArmSeries,
-    Laboratory,
-    in_inertial_frame,
-    on_clock_of_joints,
-)
+from impact_rs_trials.recordings.joint_clock import on_clock_of_joints
+from impact_rs_trials.recordings.laboratory import ArmSeries, Laboratory
 from impact_rs_trials.recordings.mapping import SignalName
+from impact_rs_trials.recordings.pad_and_object import in_inertial_frame
+from impact_rs_trials.recordings.run_pieces import MIN_POSE_RATE_HZ
 
 Jumps = Mapping[str, JointJump]  # velocity jumps of all arms in one impact, by arm
 Rows = NDArray[np.signedinteger]

@@ -19,7 +19,9 @@ from impact_rs_trials.recordings.impacts.arm_impacts import impacts_of_run
 from impact_rs_trials.recordings.impacts.body_impacts import TrackedBody, impacts_of_bodies
 from impact_rs_trials.recordings.impacts.impact_columns import ColumnGroup
 from impact_rs_trials.recordings.impacts.impact_rows import Impact, NoRow
-from impact_rs_trials.recordings.laboratory import Laboratory, with_object, with_tracker_frame
+from impact_rs_trials.recordings.joint_clock import with_object
+from impact_rs_trials.recordings.laboratory import Laboratory
+from impact_rs_trials.recordings.laboratory_runs import with_tracker_frame
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.readers.run_finder import find_runs, unique_names
 from impact_rs_trials.recordings.readers.series import Names

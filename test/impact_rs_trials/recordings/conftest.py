@@ -14,7 +14,7 @@ from refusals import refusal
 
 from impact_rs_sim.paths import config_directory
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment
-from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.recordings.laboratory_runs import read_laboratory
 from impact_rs_trials.runs import Run
 
 FREE = "run_1,none,free motion,fast,a"  # a row of the table of runs

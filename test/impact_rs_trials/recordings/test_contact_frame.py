@@ -26,7 +26,9 @@ from impact_rs_trials.recordings.checks.plausibility import (
 )
 from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import RunRow
-from impact_rs_trials.recordings.laboratory import Laboratory, read_one, touches_of
+from impact_rs_trials.recordings.laboratory import Laboratory
+from impact_rs_trials.recordings.laboratory_runs import read_one
+from impact_rs_trials.recordings.pad_and_object import touches_of
 
 from .conftest import LaboratoryFolder
 

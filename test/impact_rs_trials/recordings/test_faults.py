@@ -18,7 +18,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.checks.faults import outliers, without_faults
 from impact_rs_trials.recordings.experiment import Experiment
-from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.recordings.laboratory_runs import read_laboratory
 from impact_rs_trials.recordings.mapping import SignalName, load_mapping
 from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.recordings.recording import ARM, read_recordings

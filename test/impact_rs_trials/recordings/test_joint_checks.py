@@ -18,7 +18,7 @@ from slender_arm import swung as slender_swung
 from impact_rs_sim.robots.robot_model import RobotModel
 from impact_rs_trials.recordings.checks.joint_checks import arm_warnings
 from impact_rs_trials.recordings.experiment import Experiment
-from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.recordings.laboratory_runs import read_laboratory
 from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.remarks import merged

@@ -23,9 +23,11 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.recordings.experiment import RunRow, load_experiment
-from impact_rs_trials.recordings.laboratory import _pieces, read_laboratory, read_one, with_object
+from impact_rs_trials.recordings.joint_clock import with_object
+from impact_rs_trials.recordings.laboratory_runs import read_laboratory, read_one
 from impact_rs_trials.recordings.readers.series import Series
 from impact_rs_trials.recordings.recording import TooShort
+from impact_rs_trials.recordings.run_pieces import usable_pieces
 from impact_rs_trials.runs import Run
 
 from .conftest import FREE
@@ -241,7 +243,7 @@ def test_signals_that_were_never_recorded_together_leave_the_run_out() -> None:
     )
     run = RunRow(Path("run_1"), None, False, "")
     with pytest.raises(TooShort, match="velocity and torque were never recorded at the same time"):
-        _pieces(run, {"arm": {"position": position, "velocity": velocity, "torque": torque}}, None, [])
+        usable_pieces(run, {"arm": {"position": position, "velocity": velocity, "torque": torque}}, None, [])
 
 
 def test_a_folder_per_run_with_a_file_per_group(laboratory: LaboratoryFolder) -> None:
