@@ -35,7 +35,7 @@ from impact_rs_analysis.diagnosis.search.bounds import NO_BOUNDS, Bounds, check_
 from impact_rs_analysis.diagnosis.search.budget import SEARCH_TIME_SHARE, UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.search.effect_selection import NO_OPTIMA, ProgressCallback, Search
 from impact_rs_analysis.diagnosis.search.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, hold_out
+from impact_rs_analysis.diagnosis.search.hold_out import HoldOut, hold_out, holds_out_units
 from impact_rs_analysis.diagnosis.search.model_comparison import Rival
 from impact_rs_analysis.diagnosis.thresholds import (
     MIN_CLUSTERS,
@@ -417,10 +417,12 @@ def _hold_out(result: HoldOut | None, source: Source) -> HoldOutDocument:
     count = len(result.folds)
     if source.repeated:
         data = f"conditions with all their repeats, in {count} folds"
-    elif len({item.unit for item in source.clusters}) >= MIN_CLUSTERS:
+    elif holds_out_units(source):
         data = f"whole recordings, in {count} folds"
     else:
         division = "of neighbours; every fold is predicted from the others without those that touch it"
+        if not source.whole_units and len({item.unit for item in source.clusters}) > 1:
+            division = f"of neighbours in every recording, because a joint moves in one recording alone{division[13:]}"
         if source.interleaved:
             division = f"that take one of every {count} neighbours"
         data = f"{len(source.clusters)} {source.pieces} in {count} folds {division}"

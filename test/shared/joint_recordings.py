@@ -24,7 +24,7 @@ def swinging(
     time: np.ndarray,
     centre: np.ndarray | float,
     frequencies: tuple[np.ndarray, np.ndarray],
-    sizes: tuple[float, float],
+    sizes: tuple[np.ndarray | float, np.ndarray | float],
 ) -> Columns:
     """Every joint swings at two frequencies of its own [Hz] about a centre; torques are those of inverse dynamics."""
     low, high = (2.0 * np.pi * frequency for frequency in frequencies)

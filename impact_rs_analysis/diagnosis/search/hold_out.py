@@ -12,9 +12,10 @@ With fewer, or without processor time, a fold only fits the effects selected in 
 selection.
 
 Conditions are held out with all their repeats, several recordings as whole recordings, and a single recording in groups
-of neighbouring stretches, with a guard stretch on either side. If effects may depend on covariates
-(``Source.interleaved``), folds are interleaved, with one of every six neighbours each: a session of neighbouring rows
-in one fold could not be predicted from the other sessions.
+of neighbouring stretches, with a guard stretch on either side. Where a joint moves in one recording alone, no other
+recording predicts it (``Source.whole_units``): folds take such a group from every recording. If effects may depend on
+covariates (``Source.interleaved``), folds are interleaved, with one of every six neighbours each: a session of
+neighbouring rows in one fold could not be predicted from the other sessions.
 """
 
 from __future__ import annotations
@@ -85,37 +86,60 @@ def folds_of(source: Source) -> list[Fold]:
     for number, item in enumerate(source.clusters):
         units.setdefault(item.unit, []).append(number)
     groups: list[list[int]]
-    if len(units) >= MIN_CLUSTERS:
+    if holds_out_units(source):
         clusters_of_units = list(units.values())
         count = min(source.folds, len(clusters_of_units))
         groups = [[number for owner in clusters_of_units[start::count] for number in owner] for start in range(count)]
     elif source.repeated:
         return []
+    elif source.interleaved:
+        groups = _interleaved(np.arange(len(source.clusters)), source.folds)
+    elif source.whole_units:
+        groups = [part.tolist() for part in np.array_split(np.arange(len(source.clusters)), source.folds)]
     else:
-        numbers = np.arange(len(source.clusters))
-        parts = _interleaved(numbers, source.folds) if source.interleaved else np.array_split(numbers, source.folds)
-        groups = [part.tolist() for part in parts]
+        groups = _parts_of_units(list(units.values()), source.folds)
     folds = []
     for held_out in groups:
-        independent = source.repeated or source.interleaved or len(units) >= MIN_CLUSTERS
+        independent = source.repeated or source.interleaved or holds_out_units(source)
         guards = set() if independent else _guard_stretches(source, held_out)
         training = tuple(n for n in range(len(source.clusters)) if n not in held_out and n not in guards)
         folds.append(Fold(tuple(held_out), training))
     return folds
 
 
-def _interleaved(numbers: NDArray[np.int_], folds: int) -> list[NDArray[np.int_]]:
+def holds_out_units(source: Source) -> bool:
+    """Whether folds are whole units: conditions, or recordings."""
+    return source.whole_units and len({item.unit for item in source.clusters}) >= MIN_CLUSTERS
+
+
+def _interleaved(numbers: NDArray[np.int_], folds: int) -> list[list[int]]:
     """Interleaved folds, randomised within every group of neighbours: alternating conditions would fill one fold."""
     rng = np.random.default_rng(0)
     drawn = np.concatenate([rng.permutation(folds) for _ in range(0, numbers.size, folds)])[: numbers.size]
-    return [numbers[drawn == fold] for fold in range(folds)]
+    return [numbers[drawn == fold].tolist() for fold in range(folds)]
+
+
+def _parts_of_units(units: Sequence[Sequence[int]], folds: int) -> list[list[int]]:
+    """Folds of neighbours from every unit; short units have fewer parts than there are folds."""
+    groups: list[list[int]] = [[] for _ in range(folds)]
+    first = 0
+    for numbers in units:
+        parts = np.array_split(numbers, min(folds, len(numbers)))
+        for position, part in enumerate(parts, start=first):
+            groups[position % folds] += part.tolist()
+        first += len(parts)
+    return [group for group in groups if group]
 
 
 def _guard_stretches(source: Source, held_out: Sequence[int]) -> set[int]:
     """Guard stretches: neighbours of the held-out ones on the same recording."""
-    adjacent = {number + step for number in held_out for step in (-1, 1)} - set(held_out)
-    units = {source.clusters[number].unit for number in held_out}
-    return {n for n in adjacent if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
+    clusters = source.clusters
+    return {
+        neighbour
+        for number in held_out
+        for neighbour in (number - 1, number + 1)
+        if 0 <= neighbour < len(clusters) and clusters[neighbour].unit == clusters[number].unit
+    } - set(held_out)
 
 
 def hold_out(

@@ -77,6 +77,7 @@ TARGET_STRETCHES = 24  # more in a recording that is longer than 24 times MAX_ST
 MAX_STRETCH_S, MIN_STRETCH_S = 2.0, 0.5  # longer than the correlation time of the noise
 CLIPPING_ITERATIONS = 10  # of densities of information, until they converge
 MIN_MOVING_SPEED = 0.05  # rad/s, m/s
+MIN_SHARED_MOTION = 0.05  # of the squared velocity of a joint, outside the recording in which it moves most
 TORQUE, DEFLECTION, POSITION_SLOPE, SERVO_GAIN = "torque", "deflection", "velocity of positions", "gain of the servo"
 PHASES = ("moving up", "moving down", "slow")
 LEVEL_TEXT = "torque balance of the arm in free motion, both sides low-passed"
@@ -234,6 +235,7 @@ class RecordingSource(Source):
         at_motor = mapping.torque_measured_at == "motor"
         self.balance = TorqueBalance(list(motions), at_motor)
         self._torques, self._stretches = self.balance.joints.size, tuple(stretches)
+        self.whole_units = _joints_move_in_several(motions)
         related = "velocity" in mapping.signals and not minus
         self._relation = VelocityRelation(motions, [stretch.rows for stretch in stretches]) if related else None
         uncertain = mapping.servo is not None and mapping.servo.gains == "estimated"
@@ -785,6 +787,13 @@ def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
         mean = float(np.mean(np.concatenate(densities)))
         densities = [np.minimum(part / mean, 1.0 / shortest) for part in densities]
     return [np.cumsum(part) for part in densities]
+
+
+def _joints_move_in_several(motions: Sequence[Motion]) -> bool:
+    """Whether no joint moves in one recording alone, the only one that could predict its friction."""
+    squares = np.array([np.sum(np.square(motion.velocity[motion.inner]), axis=0) for motion in motions])
+    shared = 1.0 - squares.max(axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
+    return bool(np.all(shared > MIN_SHARED_MOTION))
 
 
 def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:

@@ -50,6 +50,9 @@ UNEVEN = np.array([0.25, -0.2, 0.15])  # N m, half of forward minus backward
 LOAD_KG = 1.2
 NOISE = 0.02  # N m
 
+TIME = np.arange(0.0, 12.0, 0.02)  # s
+FREQUENCIES = np.full(3, 0.2), np.full(3, 0.5)  # Hz
+
 Law = Callable[[Array, Array], Array]
 """Torque that friction takes, from velocity [rad/s] and transmitted torque [N m]."""
 
@@ -191,3 +194,19 @@ def test_an_arm_of_one_joint_has_no_shaft_of_two(tmp_path: Path) -> None:
     offered = {effect.name for effect in effects_for(source)}
     assert "joint_load_dependent_friction" in offered
     assert not {"joint_sum_friction", "joint_difference_friction"} & offered
+
+
+def test_friction_is_found_where_each_recording_moves_one_joint(mapping: Mapping, tmp_path: Path) -> None:
+    """Kills folds of whole recordings: no other recording predicts the friction of a joint that rests there."""
+    (tmp_path / "runs").mkdir()
+    for joint in range(3):
+        moving = np.eye(3)[joint]
+        arm = RobotModel(mapping.facts, mapping.end_effector.build())
+        found = swinging(arm, TIME, 0.3, FREQUENCIES, (0.6 * moving, 0.15 * moving))
+        found["effort"] = found["effort"] + COULOMB * np.sign(found["velocity"])
+        found["effort"] += np.random.default_rng(joint).normal(0.0, NOISE, found["effort"].shape)
+        write_npz(tmp_path / "runs" / f"joint_{joint + 1}.npz", found)
+    document = diagnosed(mapping, tmp_path / "runs", among=("joint_coulomb_friction", "end_effector_payload"))
+    assert document.named == ("joint_coulomb_friction",)
+    assert_inside(document, "joint_coulomb_friction", "coulomb", COULOMB, width=0.1)
+    assert document.held_out_error_after < 0.1 * document.held_out_error_before

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -48,6 +49,28 @@ def test_stretches_of_a_recording_are_predicted_without_their_neighbours() -> No
     for fold in folds:
         assert not {n + step for n in fold.held_out for step in (-1, 1)} & set(fold.training)
         assert list(fold.held_out) == list(range(fold.held_out[0], fold.held_out[0] + 4))
+
+
+@pytest.mark.parametrize("lengths", [(6, 6, 6, 6), (3, 4, 3, 4, 3), (20, 1, 3)])
+def test_where_a_recording_alone_shows_a_joint_every_fold_leaves_a_part_of_it(lengths: tuple[int, ...]) -> None:
+    """Kills folds that hold out whole recordings, and guards beyond the end of a recording."""
+    source = AnalyticSource(0, design=(1,) * sum(lengths), repeated=False)
+    units = [f"recording {number}" for number, length in enumerate(lengths) for _ in range(length)]
+    source.clusters = tuple(replace(item, unit=unit) for item, unit in zip(source.clusters, units, strict=True))
+    source.whole_units = False
+    folds = folds_of(source)
+    assert sorted(number for fold in folds for number in fold.held_out) == list(range(len(units)))
+    for fold in folds:
+        left_out = set(range(len(units))) - set(fold.held_out) - set(fold.training)
+        touching = {n + step for n in fold.held_out for step in (-1, 1) if 0 <= n + step < len(units)}
+        assert left_out == {
+            n
+            for n in touching - set(fold.held_out)
+            if any(units[n] == units[m] for m in fold.held_out if abs(n - m) == 1)
+        }
+        for unit, length in zip(dict.fromkeys(units), lengths, strict=True):
+            if length > 3:
+                assert unit in {units[n] for n in fold.training}
 
 
 def errors_of(found: HoldOut) -> Array:
