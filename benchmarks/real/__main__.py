@@ -27,7 +27,7 @@ from pydantic import Field
 from benchmarks.real.pictures import draw, tracks_of
 from benchmarks.results import Results, Table
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EstimateDocument, read_document
-from impact_rs_analysis.diagnosis.verdict import CONFIRMED, DiagnosisVerdict
+from impact_rs_analysis.diagnosis.verdict import CONFIRMED, DiagnosisVerdict, Kind
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_in_line
 from impact_rs_sim.schema import Schema, load
@@ -184,7 +184,11 @@ def row(name: str, expected: Expected, shown: Sequence[str], document: Diagnosis
 
 def _doubt(document: DiagnosisDocument, name: str) -> str:
     verdict = _effect_verdict(document, name)
-    return "" if verdict == CONFIRMED else f" ({verdict or ''})"
+    if verdict is None or verdict == CONFIRMED:
+        return ""
+    return (
+        f" (not distinguished from {', '.join(verdict.names)})" if verdict.kind is Kind.CONFUSABLE else f" ({verdict})"
+    )
 
 
 def _estimate(document: DiagnosisDocument, key: str, truth: float | None) -> str:

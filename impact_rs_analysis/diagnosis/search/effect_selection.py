@@ -428,6 +428,8 @@ class Search:
     def rivals(self, chosen: Fit, count: int = 3, max_score_ratio: float = MAX_ERROR_RATIO) -> list[Rival]:
         """Alternatives to every chosen effect, fitted together with the other chosen effects.
 
+        Without processor time an alternative in a recording, whose torque is nearly linear, is its linear fit.
+
         Args:
             chosen: The chosen effects.
             count: Number of alternatives fitted in place of each effect.
@@ -448,9 +450,13 @@ class Search:
                 other = linear.candidate.names[-1]
                 if linear.score > max_score_ratio * chosen.score:
                     continue
-                if self._budget.leaves_out(f"{other} in the place of {name}"):
+                if not self._budget.leaves_out(f"{other} in the place of {name}"):
+                    limit = max_score_ratio * chosen.score
+                    fitted = gauss_newton(self._refined(linear.candidate, chosen.evidence, limit))
+                elif self.source.recording is not None:
+                    fitted = linear
+                else:
                     continue
-                fitted = gauss_newton(self._refined(linear.candidate, chosen.evidence, max_score_ratio * chosen.score))
                 is_tied = tied(chosen, fitted) and not is_degenerate(fitted, other)
                 rivals.append(Rival(other, name, fitted, is_tied and not encompasses(chosen, name, fitted, other)))
         return rivals

@@ -18,6 +18,9 @@ from slender_arm import mapping_of, slender_arm, swung
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.search.budget import Budget
+from impact_rs_analysis.diagnosis.search.effect_selection import Search
+from impact_rs_analysis.diagnosis.search.fit import Evidence
 from impact_rs_analysis.evidence.sources.recording_source import RecordingSource
 from impact_rs_sim.model import Model
 from impact_rs_sim.robots.robot import Array
@@ -141,6 +144,19 @@ def test_asymmetric_friction_is_confusable_with_an_offset_of_the_torque_in_motio
     assert len(tied & set(found.named)) == 1 and any(tied <= set(group) for group in found.confusable)
     assert set(found.named) - tied == {"joint_coulomb_friction"}
     assert_inside(found, "joint_asymmetric_friction", "difference", UNEVEN, width=1.3)
+
+
+def test_without_time_for_fits_of_rivals_their_linear_fits_are_compared(mapping: Mapping, tmp_path: Path) -> None:
+    """Kills CONFIRMED, because the time was spent before a rival was looked at."""
+    path = recorded(tmp_path / "run.npz", mapping, lambda velocity, _: COULOMB * np.sign(velocity) + UNEVEN)
+    source = RecordingSource.of(read_recordings(path, mapping), mapping, Model(name="nominal"))
+    names = ("joint_coulomb_friction", "joint_asymmetric_friction", "torque_offset")
+    search = Search(effects_for(source, names), Evidence.of(source, budget=Budget(0.0)))
+    chosen = search.fitted(("joint_coulomb_friction", "joint_asymmetric_friction"))
+    assert chosen is not None
+    tied = [(rival.name, rival.instead_of) for rival in search.rivals(chosen) if rival.tied]
+    assert tied == [("torque_offset", "joint_asymmetric_friction")]
+    assert "torque_offset in the place of joint_asymmetric_friction" in search.evidence.budget.left_out
 
 
 @pytest.mark.parametrize(
