@@ -420,9 +420,9 @@ def _hold_out(result: HoldOut | None, source: Source) -> HoldOutDocument:
     elif holds_out_units(source):
         data = f"whole recordings, in {count} folds"
     else:
-        division = "of neighbours; every fold is predicted from the others without those that touch it"
-        if not source.whole_units and len({item.unit for item in source.clusters}) > 1:
-            division = f"of neighbours in every recording, because a joint moves in one recording alone{division[13:]}"
+        one_each = not source.whole_units and len({item.unit for item in source.clusters}) > 1
+        of_every = " in every recording, because a joint moves in one recording alone" if one_each else ""
+        division = f"of neighbours{of_every}; every fold is predicted from the others without those that touch it"
         if source.interleaved:
             division = f"that take one of every {count} neighbours"
         data = f"{len(source.clusters)} {source.pieces} in {count} folds {division}"

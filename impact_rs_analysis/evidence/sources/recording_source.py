@@ -790,8 +790,9 @@ def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
 
 
 def _joints_move_in_several(motions: Sequence[Motion]) -> bool:
-    """Whether no joint moves in one recording alone, the only one that could predict its friction."""
-    squares = np.array([np.sum(np.square(motion.velocity[motion.inner]), axis=0) for motion in motions])
+    """Whether every joint that moves does so in several recordings: in the others its friction does not show."""
+    speeds = [np.abs(motion.velocity[motion.inner]) for motion in motions]
+    squares = np.array([np.sum(np.where(speed > MIN_MOVING_SPEED, speed**2, 0.0), axis=0) for speed in speeds])
     shared = 1.0 - squares.max(axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
     return bool(np.all(shared > MIN_SHARED_MOTION))
 
