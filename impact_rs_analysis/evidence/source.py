@@ -141,8 +141,8 @@ class Source(ABC):
             accepted [parameter scales]; 0: the relevance limits of the features decide.
         covariates: Circumstances on which an effect may depend.
         interleaved: Whether folds are interleaved; if not, a fold consists of neighbouring clusters.
-        whole_units: Whether measurements of one unit (condition or recording) predict those of another; if not, folds
-            hold out parts of every unit.
+        whole_units: Whether one unit (condition or recording) predicts another; if not, folds hold out parts of every
+            unit.
         folds: Largest number of folds of the cross-validation; above five the held-out error changes little.
         state: Variables of the state that may be confounded with a covariate, such as the impact speed.
         progress: Called with (stage, done, total); None: not reported.

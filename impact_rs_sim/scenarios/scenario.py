@@ -275,6 +275,7 @@ def _choose(kind: str, name: str, table: dict[str, Item], scenario: str) -> Item
 
 
 def check_compensation(compensation: FrictionCompensation, scenario: Scenario) -> None:
+    """Refuse a friction compensation that does not fit the scenario (:meth:`FrictionCompensation.check`)."""
     cases = {name: set(case.robots) for name, case in scenario.cases.items()}
     sets = dict.fromkeys(scenario.objects, cases)
     compensation.check(scenario.name, scenario.digest, sets, scenario.timing.duration)

@@ -62,7 +62,8 @@ def opened(browser: Browser, address: str, *, webgl: bool = False, **options: ob
         webgl: Whether it draws in 3D: in a second browser, which can.
         options: Of the context.
     """
-    if webgl and not PICTURES:
+    of_its_own = webgl and not PICTURES
+    if of_its_own:
         browser = _launched(browser.browser_type, webgl=True)
     context = browser.new_context(**options)  # type: ignore[arg-type]
     page, wrong, home = context.new_page(), list[str](), address.partition("/?")[0]
@@ -76,7 +77,7 @@ def opened(browser: Browser, address: str, *, webgl: bool = False, **options: ob
     page.goto(address)
     yield page
     context.close()
-    if webgl and not PICTURES:
+    if of_its_own:
         browser.close()
     assert wrong == [], wrong
 

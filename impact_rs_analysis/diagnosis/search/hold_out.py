@@ -86,6 +86,7 @@ def folds_of(source: Source) -> list[Fold]:
     for number, item in enumerate(source.clusters):
         units.setdefault(item.unit, []).append(number)
     groups: list[list[int]]
+    independent = source.repeated or source.interleaved or holds_out_units(source)
     if holds_out_units(source):
         clusters_of_units = list(units.values())
         count = min(source.folds, len(clusters_of_units))
@@ -100,7 +101,6 @@ def folds_of(source: Source) -> list[Fold]:
         groups = _parts_of_units(list(units.values()), source.folds)
     folds = []
     for held_out in groups:
-        independent = source.repeated or source.interleaved or holds_out_units(source)
         guards = set() if independent else _guard_stretches(source, held_out)
         training = tuple(n for n in range(len(source.clusters)) if n not in held_out and n not in guards)
         folds.append(Fold(tuple(held_out), training))

@@ -18,7 +18,7 @@ from impact_rs_analysis.report.page import PALETTE
 
 PHONE = {"width": 390, "height": 844}  # where wide tables scroll
 MEASURED = ("analysis", "trial")
-RICH = ("comparison", "diagnosis", "trial")  # together they have every part of a page
+RICH = ("comparison", "diagnosis", "trial")  # pages of the fast tests, beside limits
 DARK = ("analysis", "diagnosis", "trial")  # together they have every colour of a page
 
 
